@@ -1,0 +1,1 @@
+//! telepulse-rt.
