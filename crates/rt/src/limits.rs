@@ -1,0 +1,96 @@
+//! The only place where a drive voltage is made.
+
+use thiserror::Error;
+
+/// A voltage that has passed [`Limits`]; there is no other way to build one.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct DriveVoltage(f64);
+
+impl DriveVoltage {
+    /// The voltage in volts.
+    #[must_use]
+    pub fn volts(self) -> f64 {
+        self.0
+    }
+}
+
+/// Why a set of limits was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum LimitsError {
+    /// Not `0 <= min_v < max_v`, or not finite.
+    #[error("voltage limits must satisfy 0 <= min_v < max_v, found {min_v} and {max_v}")]
+    Range {
+        /// Lower limit in volts.
+        min_v: f64,
+        /// Upper limit in volts.
+        max_v: f64,
+    },
+    /// The slew limit is not positive.
+    #[error("slew limit must be positive, found {slew_v_per_s} V/s")]
+    Slew {
+        /// Slew limit in volts per second.
+        slew_v_per_s: f64,
+    },
+}
+
+/// Range and slew rate that no command may leave.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    min_v: f64,
+    max_v: f64,
+    slew_v_per_s: f64,
+}
+
+/// A voltage within limits, and whether the request had to be changed for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limited {
+    /// The voltage to apply.
+    pub voltage: DriveVoltage,
+    /// True where the request lay outside of range or slew, or was not a number.
+    pub saturated: bool,
+}
+
+impl Limits {
+    /// Limits in volts; `slew_v_per_s` may be infinite.
+    ///
+    /// # Errors
+    /// [`LimitsError`] unless `0 <= min_v < max_v` and the slew rate is positive.
+    pub fn new(min_v: f64, max_v: f64, slew_v_per_s: f64) -> Result<Self, LimitsError> {
+        if !(min_v >= 0.0 && min_v < max_v && max_v.is_finite()) {
+            return Err(LimitsError::Range { min_v, max_v });
+        }
+        if slew_v_per_s.is_nan() || slew_v_per_s <= 0.0 {
+            return Err(LimitsError::Slew { slew_v_per_s });
+        }
+        Ok(Self { min_v, max_v, slew_v_per_s })
+    }
+
+    /// The lowest voltage allowed.
+    #[must_use]
+    pub fn lowest(&self) -> DriveVoltage {
+        DriveVoltage(self.min_v)
+    }
+
+    /// Highest voltage allowed, in volts.
+    #[must_use]
+    pub fn max_v(&self) -> f64 {
+        self.max_v
+    }
+
+    /// The allowed voltage nearest to `request_v`, at most `slew_v_per_s * dt_s` away from `previous`.
+    ///
+    /// A request that is not a number yields the lowest voltage, within the slew limit.
+    #[must_use]
+    pub fn clamp(&self, request_v: f64, previous: DriveVoltage, dt_s: f64) -> Limited {
+        let wanted_v = if request_v.is_nan() { self.min_v } else { request_v };
+        let in_range_v = wanted_v.clamp(self.min_v, self.max_v);
+        let step_v = self.slew_v_per_s * dt_s;
+        // An infinite slew rate over a zero step is NaN; it means "no limit".
+        let in_slew_v = if step_v.is_nan() {
+            in_range_v
+        } else {
+            in_range_v.clamp(previous.0 - step_v, previous.0 + step_v).clamp(self.min_v, self.max_v)
+        };
+        Limited { voltage: DriveVoltage(in_slew_v), saturated: request_v.is_nan() || in_slew_v != request_v }
+    }
+}
