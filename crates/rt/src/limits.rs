@@ -94,3 +94,53 @@ impl Limits {
         Limited { voltage: DriveVoltage(in_slew_v), saturated: request_v.is_nan() || in_slew_v != request_v }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_random::Random;
+
+    #[test]
+    fn law_every_voltage_lies_in_range_and_slew() {
+        for seed in 0..500 {
+            let mut random = Random::new(seed);
+            let min_v = random.between(0.0, 2000.0);
+            let limits = Limits::new(min_v, min_v + random.between(0.1, 4000.0), random.between(1.0, 1e7))
+                .expect("valid limits");
+            let dt_s = random.between(0.0, 1e-2);
+            let mut previous = limits.lowest();
+            for _ in 0..100 {
+                let exotic = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -0.0];
+                let request_v =
+                    if random.below(10) == 0 { exotic[random.below(4)] } else { random.between(-1e4, 1e4) };
+                let limited = limits.clamp(request_v, previous, dt_s);
+                let volts = limited.voltage.volts();
+                assert!(volts >= limits.min_v && volts <= limits.max_v, "seed {seed}: {volts}");
+                // One rounding of the bound.
+                let step_v = (volts - previous.volts()).abs();
+                assert!(step_v <= limits.slew_v_per_s * dt_s + 1e-9, "seed {seed}: step {step_v}");
+                assert_eq!(limited.saturated, volts != request_v, "seed {seed}: request {request_v}");
+                previous = limited.voltage;
+            }
+        }
+    }
+
+    #[test]
+    fn edge_infinite_slew_over_no_time_is_no_limit() {
+        let limits = Limits::new(0.0, 5000.0, f64::INFINITY).expect("valid limits");
+        assert_eq!(limits.clamp(4000.0, limits.lowest(), 0.0).voltage.volts(), 4000.0);
+        assert_eq!(limits.clamp(f64::INFINITY, limits.lowest(), 1e-3).voltage.volts(), 5000.0);
+    }
+
+    #[test]
+    fn edge_unusable_limits_are_refused() {
+        for (min_v, max_v) in
+            [(-1.0, 5.0), (5.0, 5.0), (f64::NAN, 5.0), (0.0, f64::NAN), (0.0, f64::INFINITY)]
+        {
+            assert!(matches!(Limits::new(min_v, max_v, 1.0), Err(LimitsError::Range { .. })));
+        }
+        for slew in [0.0, -1.0, f64::NAN] {
+            assert!(matches!(Limits::new(0.0, 1.0, slew), Err(LimitsError::Slew { .. })));
+        }
+    }
+}
