@@ -1,0 +1,92 @@
+"""Checks what the README's main command wrote: report.json against what the study must show, and every file named.
+
+Usage: python3 .ci/check_outputs.py out/diaphragm-2017
+"""
+
+import json
+import math
+import pathlib
+import sys
+import xml.etree.ElementTree as ElementTree
+
+CONDITIONS = ("normal", "disturbance", "noise", "both")
+failures = []
+
+
+def check(holds, what):
+    print(("ok    " if holds else "FAILED ") + what)
+    if not holds:
+        failures.append(what)
+
+
+def numbers(value, path=""):
+    """Yields every number in the report with its path."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from numbers(item, f"{path}.{key}")
+    elif isinstance(value, list):
+        for idx, item in enumerate(value):
+            yield from numbers(item, f"{path}[{idx}]")
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield path, value
+
+
+folder = pathlib.Path(sys.argv[1])
+report = json.loads((folder / "report.json").read_text())
+
+check(all(math.isfinite(number) for _, number in numbers(report)), "every number is finite")
+
+identified = report["identified"]
+check(abs(identified["dc_gain_mm_per_unit"] / 0.935 - 1) <= 0.02, f"DC gain {identified['dc_gain_mm_per_unit']:.4f} within 2 % of 0.935")
+check(abs(identified["omega_n_rad_s"] / 38.0 - 1) <= 0.02, f"omega_n {identified['omega_n_rad_s']:.3f} within 2 % of 38.0")
+check(abs(identified["zeta"] - 0.21) <= 0.03, f"zeta {identified['zeta']:.4f} within 0.03 of 0.21")
+check(identified["bound_violations"] == 0, "no error point above the bound")
+
+synthesis = report["synthesis"]
+check(0.3206 <= synthesis["gamma_achieved"] <= 0.3240, f"gamma {synthesis['gamma_achieved']:.6f} within 0.3206 and 0.3240")
+check(synthesis["fastest_pole_rad_s"] < 1e5, f"fastest controller pole {synthesis['fastest_pole_rad_s']:.0f} rad/s below 1e5")
+
+printed = report["printed"]
+for key, value, tolerance in (("norm_ms", 1.7689, 1e-4), ("norm_ws", 0.24262, 1e-5), ("small_gain_limit", 4.1218, 2e-4), ("frequency_wise", 0.209, 5e-4)):
+    check(abs(printed[key] - value) <= tolerance, f"printed {key} {printed[key]:.5f}")
+
+tracking = report["tracking"]
+for condition in CONDITIONS:
+    error = tracking["printed_k"][condition]["mean_abs_error_mm"]
+    check(0.008 <= error <= 0.014, f"printed K, {condition}: {error:.5f} mm within 0.008 and 0.014")
+    error = tracking["best"][condition]["mean_abs_error_mm"]
+    check(error <= 0.0010, f"best, {condition}: {error:.6f} mm at most 0.0010")
+for controller in ("printed_k", "hinf", "best", "pid_auto", "pid_manual"):
+    for condition in CONDITIONS:
+        run = tracking[controller][condition]
+        if not run.get("unstable"):
+            check(0 <= run["min_voltage_v"] and run["max_voltage_v"] <= 5000, f"{controller}, {condition}: voltage within 0 and 5 kV")
+
+pulse = report["pulse"]
+best = pulse["best"]["displacement"]
+check(abs(best["lag_ms"]) <= 2, f"best, displacement: lag {best['lag_ms']:.3f} ms")
+check(best["nrmse"] <= 0.03, f"best, displacement: NRMSE {100 * best['nrmse']:.3f} %")
+for controller in ("printed_k", "hinf", "best"):
+    for mode in ("displacement", "force"):
+        run = pulse[controller][mode]
+        if not run.get("unstable"):
+            check(0 <= run["min_voltage_v"] and run["max_voltage_v"] <= 5000, f"{controller}, {mode}: voltage within 0 and 5 kV")
+
+link = report["link"]
+check(link["sent"] == link["received"] > 0 and link["bit_exact"], f"link: {link['received']} samples bit for bit")
+check(link["lost"] == link["duplicated"] == link["out_of_order"] == 0, "link: none lost, duplicated or out of order")
+check(link["processes"] >= 2, "link: patient and doctor are separate processes")
+check(len(report["disagreements"]) >= 10, f"{len(report['disagreements'])} disagreements listed")
+
+html = (folder / "report.html").read_text()
+check("Plotly.newPlot" in html or "Plotly.react" in html, "report.html draws figures")
+check("<script src=" not in html and "https://cdn" not in html, "report.html needs no network")
+figures = sorted((folder / "figures").glob("*.svg"))
+check(len(figures) >= 11, f"{len(figures)} figures")
+for figure in figures:
+    root = ElementTree.fromstring(figure.read_text())
+    drawn = sum(1 for _ in root.iter())
+    check(drawn > 20, f"{figure.name}: {drawn} elements")
+
+print(f"checks: {len(failures)} failed")
+sys.exit(1 if failures else 0)
