@@ -1,1 +1,39 @@
-//! telepulse-lti.
+//! Linear time-invariant systems: the language of control.
+//!
+//! Systems in [`StateSpace`] form and as [`TransferFunction`], their interconnection, responses, discretization,
+//! poles and zeros, norms, margins and the matrix equations of robust control. Continuous and discrete time are
+//! different types. Nothing here reads a file, a clock or the environment, or prints.
+//!
+//! **Conventions**: frequencies and poles in rad/s; polynomials in descending powers; feedback is negative.
+
+pub mod balance;
+mod compensated;
+pub mod discretize;
+pub mod domain;
+pub mod eigenvalues;
+pub mod error;
+pub mod generalized_plant;
+pub mod hinf_norm;
+pub mod interconnect;
+pub mod lyapunov;
+pub mod margins;
+pub mod polynomial;
+pub mod realization;
+pub mod response;
+pub mod riccati;
+pub mod schur;
+pub mod simulate;
+pub mod state_space;
+pub mod transfer_function;
+pub mod zeros;
+
+pub use domain::{Continuous, Discrete, SampleTime, TimeDomain};
+pub use error::Error;
+pub use generalized_plant::GeneralizedPlant;
+pub use hinf_norm::{PeakGain, hinf_norm};
+pub use interconnect::Wiring;
+pub use margins::LoopMargins;
+pub use response::FrequencyResponse;
+pub use simulate::StepResponse;
+pub use state_space::StateSpace;
+pub use transfer_function::TransferFunction;

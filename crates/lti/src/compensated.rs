@@ -1,0 +1,101 @@
+//! Sums of products in doubled precision, for residuals that would otherwise be rounding only.
+
+use nalgebra::DMatrix;
+
+/// An unevaluated sum `high + low` with `low` below the last bit of `high`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Doubled {
+    high: f64,
+    low: f64,
+}
+
+impl Doubled {
+    /// Adds `a * b`. **Source**: Ogita, Rump and Oishi 2005, algorithm `Dot2`.
+    fn add_product(&mut self, a: f64, b: f64) {
+        let (product, product_error) = two_product(a, b);
+        let (sum, sum_error) = two_sum(self.high, product);
+        self.high = sum;
+        self.low += sum_error + product_error;
+    }
+
+    fn value(self) -> f64 {
+        self.high + self.low
+    }
+}
+
+/// `a + b` and its rounding error. **Source**: Knuth, TAOCP volume 2, section 4.2.2.
+fn two_sum(a: f64, b: f64) -> (f64, f64) {
+    let sum = a + b;
+    let shadow = sum - a;
+    (sum, (a - (sum - shadow)) + (b - shadow))
+}
+
+/// `a * b` and its rounding error. **Source**: Dekker 1971; exact while no product overflows.
+fn two_product(a: f64, b: f64) -> (f64, f64) {
+    let product = a * b;
+    let (a_high, a_low) = split(a);
+    let (b_high, b_low) = split(b);
+    (product, ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low)
+}
+
+/// Two halves of a significand that multiply without rounding.
+fn split(a: f64) -> (f64, f64) {
+    let shifted = SPLITTER * a;
+    let high = shifted - (shifted - a);
+    (high, a - high)
+}
+
+/// Returns `Aᵀ X + X A - X G X + Q` for symmetric `G`, `Q` and `X`, accumulated in doubled precision and rounded once.
+pub(crate) fn riccati_residual(
+    a: &DMatrix<f64>,
+    g: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+    x: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let n = a.nrows();
+    let mut gx = vec![Doubled::default(); n * n];
+    for j in 0..n {
+        for i in 0..n {
+            let mut sum = Doubled::default();
+            for k in 0..n {
+                sum.add_product(g[(i, k)], x[(k, j)]);
+            }
+            // Renormalised, so that the high part is the rounded product.
+            let (high, low) = two_sum(sum.high, sum.low);
+            gx[i + n * j] = Doubled { high, low };
+        }
+    }
+    let mut residual = DMatrix::zeros(n, n);
+    for j in 0..n {
+        for i in 0..=j {
+            let mut sum = Doubled { high: q[(i, j)], low: 0.0 };
+            for k in 0..n {
+                sum.add_product(a[(k, i)], x[(k, j)]);
+                sum.add_product(x[(i, k)], a[(k, j)]);
+                let product = gx[k + n * j];
+                sum.add_product(-x[(i, k)], product.high);
+                sum.low -= x[(i, k)] * product.low;
+            }
+            residual[(i, j)] = sum.value();
+            residual[(j, i)] = sum.value();
+        }
+    }
+    residual
+}
+
+/// 2^27 + 1.
+const SPLITTER: f64 = 134_217_729.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn law_a_sum_that_cancels_keeps_its_last_bits() {
+        // (1 + e)(1 - e) - 1 = -e² with e = 2^-40, far below the rounding of the product.
+        let e = (-40.0_f64).exp2();
+        let mut sum = Doubled { high: -1.0, low: 0.0 };
+        sum.add_product(1.0 + e, 1.0 - e);
+        assert_eq!(sum.value(), -e * e);
+    }
+}
