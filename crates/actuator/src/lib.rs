@@ -1,1 +1,16 @@
-//! telepulse-actuator.
+//! What the device is: material, membrane, circuit, equilibrium, linearisation, reduced twin, virtual rig.
+
+pub mod collocation;
+mod error;
+pub mod field;
+pub mod linearize;
+pub mod material;
+pub mod membrane;
+mod parameters;
+pub mod rig;
+pub mod twin;
+
+pub use error::Error;
+pub use parameters::{
+    ActuatorParameters, ActuatorSpec, MAX_BRANCHES, MaxwellBranch, ParameterSet, VACUUM_PERMITTIVITY_F_PER_M,
+};

@@ -266,6 +266,10 @@ impl Balanced {
         let column_q = self.q.column(i).iter().enumerate().fold(0.0, |s, (k, &v)| off_diagonal(s, k, v));
         let row_g = self.g.row(i).iter().enumerate().fold(0.0, |s, (k, &v)| off_diagonal(s, k, v));
         let (diagonal_q, diagonal_g) = (self.q[(i, i)].abs(), self.g[(i, i)].abs());
+        // A state without column or row would be scaled without end (Parlett and Reinsch permute those away).
+        if column_a + column_q + diagonal_q == 0.0 || row_a + row_g + diagonal_g == 0.0 {
+            return 1.0;
+        }
         // Scaling by f multiplies the column's entries by f, Q's diagonal by f², and divides row and G likewise.
         let cost = |f: f64| {
             (column_a + column_q) * f + (row_a + row_g) / f + diagonal_q * f * f + diagonal_g / (f * f)
@@ -274,7 +278,8 @@ impl Balanced {
         for direction in [2.0, 0.5] {
             let mut f = direction;
             for _ in 0..FACTOR_EXPONENT_MAX {
-                if cost(f) >= WORTHWHILE * cost(best) {
+                let total = (self.scaling[i] * f).log2().abs();
+                if cost(f) >= WORTHWHILE * cost(best) || total > SCALING_EXPONENT_MAX {
                     break;
                 }
                 best = f;
@@ -363,6 +368,9 @@ const BALANCING_SWEEPS_MAX: usize = 64;
 /// Largest exponent of one scaling step.
 const FACTOR_EXPONENT_MAX: usize = 64;
 
+/// Largest exponent of a state's scaling; beyond it entries are rounding of zeros.
+const SCALING_EXPONENT_MAX: f64 = 100.0;
+
 /// A scaling step that gains less than five per cent is not taken (LAPACK's `GEBAL` uses the same figure).
 const WORTHWHILE: f64 = 0.95;
 
@@ -408,6 +416,17 @@ mod tests {
             .x;
         let back = &inverse * scaled * &inverse;
         assert!((&back - &plain).norm() < 1e-12 * plain.norm(), "{}", (&back - &plain).norm());
+    }
+
+    #[test]
+    fn regress_a_state_without_a_row_is_not_scaled_without_end() {
+        // Q = 0 and a triangular A leave the last state without off-diagonal entries in its column; its scaling used to
+        // run to 2^1000 and the basis with it.
+        let a = nalgebra::dmatrix![-1.0, 0.0; 3.0, -2.0];
+        let g = nalgebra::dmatrix![1.0, 0.0; 0.0, 0.0];
+        let s = StableSubspace::new(&a, &g, &DMatrix::zeros(2, 2)).expect("stable");
+        assert!(s.scaling.iter().all(|d| d.log2().abs() <= 4.0), "{}", s.scaling);
+        assert!(s.solution().expect("finite").norm() < 1e-15);
     }
 
     #[test]

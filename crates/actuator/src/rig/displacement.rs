@@ -1,0 +1,140 @@
+//! The rig of the paper's displacement runs: a weight on the plate, a laser above it.
+
+use telepulse_rt::{Drive, DriveFault, DriveVoltage, MonotonicNs, Reading, Sensor, SensorFault};
+
+use super::RigConditions;
+use super::assumptions::{
+    LASER_MAX_MM, LASER_MIN_MM, LASER_NOISE_RMS_MM, LASER_RESOLUTION_MM, LASER_STANDOFF_MM,
+};
+use super::instrument::{Imperfections, Instrument};
+use super::plant::Plant;
+use crate::Error;
+use crate::twin::{Twin, TwinModel};
+
+/// A laser distance sensor above the plate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Laser {
+    /// Distance to the plate at rest, mm.
+    pub standoff_mm: f64,
+    /// Lower end of the range, mm.
+    pub min_mm: f64,
+    /// Upper end of the range, mm.
+    pub max_mm: f64,
+    /// White noise, rms, mm.
+    pub noise_rms_mm: f64,
+    /// Steps of the reading, mm; zero for none.
+    pub resolution_mm: f64,
+}
+
+impl Default for Laser {
+    /// Range 30-70 mm as the paper's sensor; stand-off 50 mm, 3 um noise and 1 um steps are assumptions.
+    fn default() -> Self {
+        Self {
+            standoff_mm: LASER_STANDOFF_MM,
+            min_mm: LASER_MIN_MM,
+            max_mm: LASER_MAX_MM,
+            noise_rms_mm: LASER_NOISE_RMS_MM,
+            resolution_mm: LASER_RESOLUTION_MM,
+        }
+    }
+}
+
+/// The actuator under its weight, read by a laser.
+///
+/// **Sign**: the laser reads its stand-off plus the displacement from rest; voltage lowers the plate and raises the reading.
+///
+/// **Example**
+/// ```
+/// use telepulse_actuator::{ParameterSet, rig::{DisplacementRig, RigConditions}, twin::TwinModel};
+/// use telepulse_rt::{Drive, Limits, MonotonicNs, Sensor};
+/// let model = TwinModel::new(&ParameterSet::A.parameters())?;
+/// let mut rig = DisplacementRig::new(&model, RigConditions::default(), 1)?;
+/// let limits = Limits::new(0.0, 5000.0, f64::INFINITY).expect("valid limits");
+/// rig.apply(MonotonicNs(0), limits.clamp(5000.0, limits.lowest(), 5e-4).voltage).expect("time runs ahead");
+/// let reading = rig.read(MonotonicNs(10_000_000_000)).expect("in range");
+/// assert!((reading.value - 51.03).abs() < 0.02);
+/// # Ok::<(), telepulse_actuator::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct DisplacementRig {
+    plant: Plant,
+    laser: Laser,
+    instrument: Instrument,
+}
+
+impl DisplacementRig {
+    /// A rig with the default laser; `seed` makes its noise.
+    ///
+    /// # Errors
+    /// [`Error::Request`] names the condition that is out of range.
+    pub fn new(model: &TwinModel, conditions: RigConditions, seed: u64) -> Result<Self, Error> {
+        Self::with_laser(model, Laser::default(), conditions, seed)
+    }
+
+    /// A rig with a given laser.
+    ///
+    /// # Errors
+    /// [`Error::Request`] names the condition that is out of range.
+    pub fn with_laser(
+        model: &TwinModel,
+        laser: Laser,
+        conditions: RigConditions,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        let imperfections = Imperfections {
+            noise_rms: laser.noise_rms_mm,
+            resolution: laser.resolution_mm,
+            min: laser.min_mm,
+            max: laser.max_mm,
+        };
+        Ok(Self {
+            plant: Plant::new(Twin::new(model), &conditions)?,
+            laser,
+            instrument: Instrument::new(imperfections, conditions.sensing_noise, seed)?,
+        })
+    }
+
+    /// Laser reading at the rest position, mm.
+    #[must_use]
+    pub fn standoff_mm(&self) -> f64 {
+        self.laser.standoff_mm
+    }
+
+    /// True displacement from rest at the last call, mm, positive down. For evaluation only.
+    #[must_use]
+    pub fn true_displacement_mm(&self) -> f64 {
+        self.plant.twin.displacement_mm()
+    }
+
+    /// Power from the amplifier at the last call, W. For evaluation only.
+    #[must_use]
+    pub fn supply_power_w(&self) -> f64 {
+        self.plant.twin.supply_power_w()
+    }
+
+    /// Voltage across the membrane at the last call, V. For evaluation only.
+    #[must_use]
+    pub fn membrane_voltage_v(&self) -> f64 {
+        self.plant.twin.membrane_voltage_v()
+    }
+
+    /// The twin inside. For evaluation only.
+    #[must_use]
+    pub fn twin(&self) -> &Twin {
+        &self.plant.twin
+    }
+}
+
+impl Sensor for DisplacementRig {
+    fn read(&mut self, now: MonotonicNs) -> Result<Reading, SensorFault> {
+        self.plant.advance_to(now).map_err(|_| SensorFault::Stale)?;
+        let truth = self.laser.standoff_mm + self.plant.twin.displacement_mm();
+        self.instrument.show(now, truth)
+    }
+}
+
+impl Drive for DisplacementRig {
+    fn apply(&mut self, now: MonotonicNs, voltage: DriveVoltage) -> Result<(), DriveFault> {
+        self.plant.drive(now, voltage.volts()).map_err(|_| DriveFault::Refused)
+    }
+}

@@ -1,0 +1,174 @@
+//! Rigs seen through the sensor and drive traits.
+
+use telepulse_actuator::rig::{
+    DisplacementRig, ForceRig, ForceStep, Laser, LoadCell, RigConditions, SensingSine,
+};
+use telepulse_actuator::twin::TwinModel;
+use telepulse_actuator::{Error, ParameterSet};
+use telepulse_rt::{Drive, DriveFault, DriveVoltage, Limits, MonotonicNs, Sensor, SensorFault};
+
+use crate::assert_close;
+
+const TICK_NS: u64 = 500_000;
+
+fn model() -> TwinModel {
+    TwinModel::new(&ParameterSet::A.parameters()).expect("taut")
+}
+
+fn volts(request_v: f64) -> DriveVoltage {
+    let limits = Limits::new(0.0, 5000.0, f64::INFINITY).expect("valid limits");
+    limits.clamp(request_v, limits.lowest(), 1.0).voltage
+}
+
+/// Reads at every tick while the voltage is held.
+fn run(rig: &mut (impl Sensor + Drive), from_tick: u64, n_ticks: u64, drive_v: f64) -> Vec<f64> {
+    (from_tick..from_tick + n_ticks)
+        .map(|tick| {
+            let now = MonotonicNs(tick * TICK_NS);
+            let reading = rig.read(now).expect("in range");
+            rig.apply(now, volts(drive_v)).expect("time runs ahead");
+            reading.value
+        })
+        .collect()
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+#[test]
+fn law_laser_reads_standoff_plus_displacement_and_runs_repeat() {
+    let model = model();
+    let mut rig = DisplacementRig::new(&model, RigConditions::default(), 3).expect("valid");
+    let at_rest = run(&mut rig, 0, 400, 0.0);
+    // 3 um over 400 samples: 0.15 um, five of them.
+    assert_close(mean(&at_rest), 50.0, 0.0, 0.00075, "at rest");
+    let driven = run(&mut rig, 400, 8000, 5000.0);
+    assert_close(
+        mean(&driven[7600..]),
+        50.0 + rig.true_displacement_mm(),
+        0.0,
+        0.0015,
+        "reading against truth",
+    );
+    assert!(rig.true_displacement_mm() > 1.0, "voltage lowers the plate");
+    let mut again = DisplacementRig::new(&model, RigConditions::default(), 3).expect("valid");
+    assert_eq!(run(&mut again, 0, 400, 0.0), at_rest);
+    assert_eq!(run(&mut again, 400, 8000, 5000.0), driven);
+}
+
+#[test]
+fn law_disturbance_sets_in_on_time_and_moves_the_plate_by_force_over_stiffness() {
+    let conditions = RigConditions {
+        disturbance: Some(ForceStep { force_n: 0.010, start_s: 1.00013 }),
+        ..RigConditions::default()
+    };
+    let mut rig = DisplacementRig::new(&model(), conditions, 1).expect("valid");
+    run(&mut rig, 0, 2001, 0.0);
+    assert!(rig.true_displacement_mm().abs() < 1e-9, "not before its time");
+    run(&mut rig, 2001, 600_000, 0.0);
+    // 10 mN over 143.87 N/m, softening by 1 % along the way.
+    assert_close(rig.true_displacement_mm(), 0.0695, 0.01, 0.0, "settled under the disturbance");
+}
+
+#[test]
+fn law_sensing_sine_is_on_the_sensor_and_not_on_the_plate() {
+    let quiet = Laser { noise_rms_mm: 0.0, resolution_mm: 0.0, ..Laser::default() };
+    let conditions = RigConditions {
+        sensing_noise: Some(SensingSine { amplitude_in_sensor_unit: 0.02, frequency_hz: 50.0 }),
+        ..RigConditions::default()
+    };
+    let mut rig = DisplacementRig::with_laser(&model(), quiet, conditions, 1).expect("valid");
+    let values = run(&mut rig, 0, 400, 0.0);
+    for (tick, value) in values.iter().enumerate() {
+        let t = tick as f64 * 5e-4;
+        let expected = 50.0 + 0.02 * (100.0 * std::f64::consts::PI * t).sin();
+        assert_close(*value, expected, 0.0, 1e-9, "sine");
+    }
+    assert!(rig.true_displacement_mm().abs() < 1e-9);
+}
+
+#[test]
+fn law_load_cell_carries_the_load_of_the_weight_and_falls_with_voltage() {
+    let model = model();
+    let mut rig = ForceRig::new(&model, RigConditions::default(), 5).expect("valid");
+    let at_rest = run(&mut rig, 0, 2000, 0.0);
+    // Weight of the original load less that of the bare plate.
+    let expected = (0.1 - 0.005) * 9.80665;
+    assert_close(mean(&at_rest), expected, 0.0, 1e-4, "static load");
+    assert!(rig.true_displacement_mm().abs() < 1e-6);
+    let driven = run(&mut rig, 2000, 40_000, 5000.0);
+    // The cell is a hundred times stiffer than the membrane: nearly all of F(x, 5 kV) - F(x, 0) shows as force.
+    let drop = model.force_n(0.0, 0.0) - model.force_n(0.0, 5000.0);
+    let found = mean(&at_rest) - mean(&driven[39_000..]);
+    assert!(drop > 0.1, "{drop}");
+    assert_close(found, drop, 0.02, 0.0, "drop under 5 kV");
+    assert_close(mean(&driven[39_990..]), rig.true_force_n(), 0.0, 1e-3, "reading against truth");
+}
+
+#[test]
+fn law_load_cell_mode_is_resolved() {
+    // A finer step must not change the ringing of the plate on the cell: compare with a tick that forces finer steps.
+    let quiet = LoadCell { noise_rms_n: 0.0, resolution_n: 0.0, ..LoadCell::default() };
+    let model = model();
+    let kick = RigConditions {
+        disturbance: Some(ForceStep { force_n: -0.2, start_s: 0.0 }),
+        ..RigConditions::default()
+    };
+    let mut coarse = ForceRig::with_load_cell(&model, quiet, kick, 1).expect("valid");
+    let mut fine = coarse.clone();
+    let mut largest = 0.0_f64;
+    for tick in 1..=200_u64 {
+        let a = coarse.read(MonotonicNs(tick * TICK_NS)).expect("in range").value;
+        let mut b = 0.0;
+        for part in 1..=50 {
+            b = fine.read(MonotonicNs((tick - 1) * TICK_NS + part * TICK_NS / 50)).expect("in range").value;
+        }
+        largest = largest.max((a - b).abs());
+    }
+    // 0.1 % of the kick; step 0.0625 ms against 0.01 ms.
+    assert!(largest < 2e-4, "{largest} N");
+}
+
+#[test]
+fn law_initial_bias_starts_settled() {
+    let conditions = RigConditions { initial_bias_v: 2500.0, ..RigConditions::default() };
+    let mut rig = DisplacementRig::new(&model(), conditions, 1).expect("valid");
+    run(&mut rig, 0, 2000, 2500.0);
+    assert_close(rig.true_displacement_mm(), 0.234_843_69, 0.0, 3e-6, "settled at the bias");
+    assert_close(rig.membrane_voltage_v(), 2500.0, 1e-12, 0.0, "circuit at the bias");
+}
+
+#[test]
+fn edge_time_backwards_range_and_bad_conditions_are_faults() {
+    let model = model();
+    let mut rig = DisplacementRig::new(&model, RigConditions::default(), 1).expect("valid");
+    rig.read(MonotonicNs(10 * TICK_NS)).expect("ahead");
+    assert_eq!(rig.read(MonotonicNs(9 * TICK_NS)), Err(SensorFault::Stale));
+    assert_eq!(rig.apply(MonotonicNs(0), volts(0.0)), Err(DriveFault::Refused));
+
+    let near = Laser { standoff_mm: 69.5, ..Laser::default() };
+    let mut rig = DisplacementRig::with_laser(&model, near, RigConditions::default(), 1).expect("valid");
+    rig.apply(MonotonicNs(0), volts(5000.0)).expect("ahead");
+    assert!(matches!(rig.read(MonotonicNs(1_000_000_000)), Err(SensorFault::OutOfRange { .. })));
+
+    let pulled = RigConditions {
+        disturbance: Some(ForceStep { force_n: -2.0, start_s: 0.0 }),
+        ..RigConditions::default()
+    };
+    let mut rig = ForceRig::new(&model, pulled, 1).expect("valid");
+    assert!(matches!(rig.read(MonotonicNs(1_000_000_000)), Err(SensorFault::OutOfRange { .. })));
+
+    let bad = RigConditions { initial_bias_v: 6000.0, ..RigConditions::default() };
+    assert!(matches!(
+        DisplacementRig::new(&model, bad, 1),
+        Err(Error::Request { quantity: "initial_bias_v", .. })
+    ));
+    let bad = RigConditions {
+        disturbance: Some(ForceStep { force_n: f64::NAN, start_s: 0.0 }),
+        ..RigConditions::default()
+    };
+    assert!(ForceRig::new(&model, bad, 1).is_err());
+    let cell = LoadCell { plate_mass_kg: 0.0, ..LoadCell::default() };
+    assert!(ForceRig::with_load_cell(&model, cell, RigConditions::default(), 1).is_err());
+}

@@ -1,0 +1,391 @@
+//! Everything that can go wrong at the desk.
+
+use num_complex::Complex64;
+use thiserror::Error;
+
+use crate::synthesize::Condition;
+
+/// Why a stage of identification, synthesis, verification or implementation gave no answer.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Error {
+    /// A system of `telepulse-lti` could not be built or evaluated.
+    #[error(transparent)]
+    System(#[from] telepulse_lti::Error),
+
+    // ---- identify ----
+    /// An option or a setting lies outside of what is allowed.
+    #[error("{key} must be {allowed}, found {found}")]
+    OutOfRange {
+        /// Name of the setting, with its unit.
+        key: &'static str,
+        /// What was found.
+        found: f64,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+    /// A list that must hold something holds nothing.
+    #[error("{key} must hold at least one value, found none")]
+    EmptyList {
+        /// Name of the list.
+        key: &'static str,
+    },
+    /// The sine would drive the amplifier out of its range 0 to 1.
+    #[error("bias {bias} with amplitude {amplitude} leaves the drive range 0 to 1")]
+    DriveRange {
+        /// Bias, fraction of full scale.
+        bias: f64,
+        /// Amplitude of the sine, fraction of full scale.
+        amplitude: f64,
+    },
+    /// Two frequencies become one when each is fitted to a whole number of samples.
+    #[error(
+        "frequencies {first_hz} Hz and {second_hz} Hz are the same at the sample rate, allowed are distinct ones"
+    )]
+    SameFrequency {
+        /// The one that comes first.
+        first_hz: f64,
+        /// The one that comes second.
+        second_hz: f64,
+    },
+    /// A recording has not the length that the plan asks for.
+    #[error("{signal} must hold {expected} samples, found {found}")]
+    SampleCount {
+        /// Which signal.
+        signal: &'static str,
+        /// Samples expected.
+        expected: usize,
+        /// Samples found.
+        found: usize,
+    },
+    /// A recording holds a value that is not a number.
+    #[error("{signal} must be finite, found {found} at sample {sample_idx}")]
+    SampleNotFinite {
+        /// Which signal.
+        signal: &'static str,
+        /// Where.
+        sample_idx: usize,
+        /// What was found.
+        found: f64,
+    },
+    /// The recording holds no line at the frequency of excitation.
+    #[error(
+        "{signal} must have a line at {frequency_hz} Hz, found amplitude {found} (frozen sensor or drive not connected)"
+    )]
+    NoLine {
+        /// Which signal.
+        signal: &'static str,
+        /// Frequency of the excitation in Hz.
+        frequency_hz: f64,
+        /// Amplitude found there.
+        found: f64,
+    },
+    /// The sweep text holds no table.
+    #[error("sweep must start with the header `{expected}`, found an empty file")]
+    SweepEmpty {
+        /// The header expected.
+        expected: &'static str,
+    },
+    /// A column of the sweep is missing.
+    #[error("line {line}: column `{column}` is missing, found `{found}`, expected `{expected}`")]
+    SweepColumnMissing {
+        /// Line number, from 1.
+        line: usize,
+        /// Name of the column.
+        column: &'static str,
+        /// The header found.
+        found: String,
+        /// The header expected.
+        expected: &'static str,
+    },
+    /// A column that the format does not know, or one that is named twice.
+    #[error("line {line}: column `{found}` is unknown or repeated, allowed is `{expected}`")]
+    SweepColumnUnknown {
+        /// Line number, from 1.
+        line: usize,
+        /// The column found.
+        found: String,
+        /// The header expected.
+        expected: &'static str,
+    },
+    /// A line of the sweep has too many or too few fields.
+    #[error("line {line}: expected {expected} fields, found {found}")]
+    SweepFieldCount {
+        /// Line number, from 1.
+        line: usize,
+        /// Fields expected.
+        expected: usize,
+        /// Fields found.
+        found: usize,
+    },
+    /// A field of the sweep cannot be used.
+    #[error("line {line}, column `{column}`: allowed is {allowed}, found `{found}`")]
+    SweepField {
+        /// Line number, from 1.
+        line: usize,
+        /// Name of the column or of the key in a `# key: value` line.
+        column: &'static str,
+        /// The text found.
+        found: String,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+    /// The same frequency and amplitude occur twice.
+    #[error("line {line}: {frequency_hz} Hz at amplitude {amplitude} was given before in line {first_line}")]
+    SweepDuplicate {
+        /// Line number of the second, from 1 (point number where there is no text).
+        line: usize,
+        /// Line number of the first.
+        first_line: usize,
+        /// Frequency in Hz.
+        frequency_hz: f64,
+        /// Amplitude, fraction of full scale.
+        amplitude: f64,
+    },
+    /// A sweep has too few different frequencies to carry a third-order model.
+    #[error("sweep must hold at least {needed} different frequencies, found {found}")]
+    SweepTooFewFrequencies {
+        /// Needed.
+        needed: usize,
+        /// Found.
+        found: usize,
+    },
+    /// The data do not determine the parameters.
+    #[error(
+        "the sweep does not determine the model: condition number {condition} of the scaled Jacobian, allowed {condition_max}"
+    )]
+    FitIllConditioned {
+        /// Condition number found.
+        condition: f64,
+        /// Largest condition number allowed.
+        condition_max: f64,
+    },
+    /// The least-squares iteration ended without meeting its stop test.
+    #[error(
+        "fit did not converge in {iterations} iterations: last relative step {relative_step}, allowed {relative_step_max}; rms residual {rms_residual}"
+    )]
+    FitNotConverged {
+        /// Iterations made.
+        iterations: usize,
+        /// Last step relative to the parameters.
+        relative_step: f64,
+        /// Largest step that counts as converged.
+        relative_step_max: f64,
+        /// Root mean square of the residual where it stopped.
+        rms_residual: f64,
+    },
+    /// The measured points equal the model, so there is no error to bound.
+    #[error("all errors are zero: there is nothing to bound")]
+    CoverNoError,
+    /// The linear program behind the bound ended without a usable answer.
+    #[error("bound of the errors not found: no second-order weight within a factor {ratio_max} of the data")]
+    CoverInfeasible {
+        /// Largest ratio of bound to error that was tried.
+        ratio_max: f64,
+    },
+
+    // ---- implement ----
+    /// A file was written by a version of the format that is not known here.
+    #[error("{what} has version {found}, allowed is {allowed}")]
+    Version {
+        /// Which file.
+        what: &'static str,
+        /// Version found.
+        found: u32,
+        /// Version known here.
+        allowed: u32,
+    },
+    /// A certificate needs a bound of the plant's error.
+    #[error("plant model has no uncertainty bound, which a certificate needs")]
+    NoUncertainty,
+    /// Model and settings mean different commands.
+    #[error("input linearization of the plant model and of the recipe must be the same")]
+    LinearizationMismatch,
+    /// The loop is stable, but neither robustness test passes.
+    #[error(
+        "loop is not robust: peak of |Ws Ms| is {frequency_wise} and the product of the norms is {norm_product}, one of them must be below 1"
+    )]
+    NotRobust {
+        /// Peak of `|W_s M_s|`.
+        frequency_wise: f64,
+        /// Product of the norms of `M_s` and `W_s`.
+        norm_product: f64,
+    },
+    /// A stored law differs from the controller that its certificate is about.
+    #[error("law of the controller recipe is not the one that was certified")]
+    LawChanged,
+    /// A controller must have one input and one output.
+    #[error("controller must have 1 input and 1 output, found {n_inputs} and {n_outputs}")]
+    NotSiso {
+        /// Inputs found.
+        n_inputs: usize,
+        /// Outputs found.
+        n_outputs: usize,
+    },
+    /// The modes of a controller lie so close together that a modal form would lose the response.
+    #[error(
+        "modes of the controller are too close: condition number {condition} of the modal transformation, allowed {condition_max}"
+    )]
+    ModesIllConditioned {
+        /// Condition number of the eigenvectors, columns scaled.
+        condition: f64,
+        /// Largest condition number allowed.
+        condition_max: f64,
+    },
+    /// A pole of the controller has no image at this sample time.
+    #[error("controller pole {pole_rad_s} rad/s has no bilinear image at sample time {sample_time_s} s")]
+    PoleAtTwoOverT {
+        /// Real part of the pole in rad/s.
+        pole_rad_s: f64,
+        /// Sample time in s.
+        sample_time_s: f64,
+    },
+    /// The realised controller does not have the response that it was made from.
+    #[error("realised controller is off by {found} (relative) at {omega_rad_s} rad/s, allowed {allowed}")]
+    RealizationError {
+        /// Relative error found.
+        found: f64,
+        /// Where, in rad/s.
+        omega_rad_s: f64,
+        /// Relative error allowed.
+        allowed: f64,
+    },
+    /// A static curve does not rise strictly.
+    #[error("static curve must rise strictly, found {previous} then {found} in {column} at row {row}")]
+    NotMonotone {
+        /// Which column.
+        column: &'static str,
+        /// Row of the second value, from 0.
+        row: usize,
+        /// The value before.
+        previous: f64,
+        /// The value found.
+        found: f64,
+    },
+    /// The preview filter would need more taps than the bound on its length.
+    #[error("preview filter needs more than {taps_max} taps: widen its transition or lower the sample rate")]
+    PreviewTooLong {
+        /// Largest number of taps.
+        taps_max: usize,
+    },
+    /// The plant cannot be inverted at a frequency inside the pass band.
+    #[error("plant response is zero at {frequency_hz} Hz, inside the pass band of the preview filter")]
+    PreviewPlantZero {
+        /// Frequency in Hz.
+        frequency_hz: f64,
+    },
+
+    // ---- synthesize ----
+    /// A weight of the synthesis has a pole on the closed right half plane.
+    #[error("weight {weight} must be stable, found a pole at {pole} rad/s")]
+    WeightNotStable {
+        /// Which weight.
+        weight: &'static str,
+        /// The pole in rad/s.
+        pole: Complex64,
+    },
+    /// The control input does not reach the performance output directly in all its directions.
+    #[error(
+        "D12 ({n_z} x {n_u}) must have full column rank, found singular values from {smallest:e} to {largest:e}: some control input has no direct weight"
+    )]
+    SingularD12 {
+        /// Rows, performance outputs.
+        n_z: usize,
+        /// Columns, control inputs.
+        n_u: usize,
+        /// Largest singular value.
+        largest: f64,
+        /// Smallest singular value.
+        smallest: f64,
+    },
+    /// The measured output is not disturbed directly in all its directions.
+    #[error(
+        "D21 ({n_y} x {n_w}) must have full row rank, found singular values from {smallest:e} to {largest:e}: some measurement is free of noise"
+    )]
+    SingularD21 {
+        /// Rows, measured outputs.
+        n_y: usize,
+        /// Columns, exogenous inputs.
+        n_w: usize,
+        /// Largest singular value.
+        largest: f64,
+        /// Smallest singular value.
+        smallest: f64,
+    },
+    /// An unstable mode is out of reach of the control input.
+    #[error("plant must be stabilizable, found the unreachable mode {mode} rad/s")]
+    NotStabilizable {
+        /// The mode in rad/s.
+        mode: Complex64,
+    },
+    /// An unstable mode does not show in the measured output.
+    #[error("plant must be detectable, found the invisible mode {mode} rad/s")]
+    NotDetectable {
+        /// The mode in rad/s.
+        mode: Complex64,
+    },
+    /// A path of the generalized plant has a zero on the imaginary axis.
+    #[error("the path from {path} must have no zero on the imaginary axis, found one at {omega_rad_s} rad/s")]
+    AxisZero {
+        /// The path.
+        path: &'static str,
+        /// Frequency of the zero in rad/s.
+        omega_rad_s: f64,
+    },
+    /// No controller reaches any norm up to the largest one tried.
+    #[error("no controller reaches a norm of {gamma_max:e} or less{}", match binding { Some(c) => format!(", violated: {c:?}"), None => String::new() })]
+    Infeasible {
+        /// Largest gamma tried.
+        gamma_max: f64,
+        /// The condition that failed there.
+        binding: Option<Condition>,
+    },
+    /// The search for the smallest gamma did not end within its bound.
+    #[error("gamma did not converge, it lies between {gamma_lower} and {gamma_upper}")]
+    NotConverged {
+        /// Largest gamma known to be out of reach.
+        gamma_lower: f64,
+        /// Smallest gamma known to be within reach.
+        gamma_upper: f64,
+    },
+    /// Rounding spoils every controller that was tried.
+    #[error(
+        "problem is ill-conditioned: a controller designed for gamma {gamma} gave a closed-loop norm of {achieved}"
+    )]
+    IllConditioned {
+        /// Gamma of the last design.
+        gamma: f64,
+        /// Norm that its closed loop has; infinite where it is unstable or could not be formed.
+        achieved: f64,
+    },
+    /// No design within the allowed relaxation keeps the controller's poles below the limit.
+    #[error("controller pole must be at most {limit_rad_s} rad/s, found {pole_rad_s} rad/s at gamma {gamma}")]
+    ControllerTooFast {
+        /// Gamma of the last design.
+        gamma: f64,
+        /// Its fastest pole in rad/s.
+        pole_rad_s: f64,
+        /// The limit in rad/s.
+        limit_rad_s: f64,
+    },
+
+    // ---- verify ----
+    /// The closed loop is not stable, so it has no certificate.
+    #[error("closed loop must be stable, found poles at {} rad/s", list(poles))]
+    UnstableLoop {
+        /// The closed-loop poles that are not stable, in rad/s.
+        poles: Vec<Complex64>,
+    },
+    /// A system that must be stable by itself is not.
+    #[error("{system} must be stable, found a pole at {pole} rad/s")]
+    UnstableElement {
+        /// Which system.
+        system: &'static str,
+        /// The pole in rad/s.
+        pole: Complex64,
+    },
+}
+
+fn list(poles: &[Complex64]) -> String {
+    let texts: Vec<String> = poles.iter().map(|pole| format!("{pole:.4}")).collect();
+    texts.join(", ")
+}

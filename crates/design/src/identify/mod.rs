@@ -1,0 +1,32 @@
+//! From measurements to a model with a bound on its error.
+//!
+//! - [`SweepPlan`]: which sine when, as samples to send to a drive; takes the recorded response back;
+//! - [`SweepRecord`]: the measured points, as text that a user can supply instead;
+//! - [`fit_third_order`]: gain, resonance and circuit pole, with standard errors;
+//! - [`cap_additive_error`]: a second-order weight that lies on or above the error of every point;
+//! - [`PlantModel`]: what the synthesis works from.
+
+mod cover;
+mod envelope;
+mod first_order;
+mod fit;
+mod least_squares;
+mod magnitude_design;
+mod model;
+mod plan;
+mod record;
+mod record_csv;
+mod spectrum;
+mod third_order;
+
+pub use cover::{
+    CoverOptions, ErrorPoint, ErrorSeries, UncertaintyBound, cap_additive_error, cap_family_error,
+};
+pub use first_order::{FirstOrderFit, fit_first_order};
+pub use fit::{FitOptions, Residual, ThirdOrderFit, Weighting, fit_third_order};
+pub use magnitude_design::BoundShape;
+pub use model::{InputLinearisation, ModelProvenance, PlantModel};
+pub use plan::{SweepOptions, SweepPlan, SweepSegment, log_spaced};
+pub use record::{Distortion, SweepPoint, SweepRecord};
+pub use spectrum::{Line, extract_line};
+pub use third_order::{ParameterErrors, RcPole};

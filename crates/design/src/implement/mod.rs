@@ -1,0 +1,25 @@
+//! From a controller to what runs.
+//!
+//! - [`realize_continuous`], [`realize_discrete`]: modes that a real-time loop advances one by one;
+//! - [`PidSettings`]: the other kind of law;
+//! - [`preview_feedforward`]: drive from a reference that is known ahead; [`StaticInverse`]: from a measured curve;
+//! - [`ControllerRecipe`]: all of it in one file, with the evidence that the law may run.
+
+mod modal_delta;
+mod pid;
+mod preview;
+mod realize;
+mod recipe;
+mod static_inverse;
+
+pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
+pub use pid::PidSettings;
+pub use preview::{
+    PreviewFeedforward, PreviewOptions, TAIL_MAX, preview_feedforward, transition_for_horizon_hz,
+};
+pub use realize::{Discretization, Realization, realize_continuous, realize_discrete};
+pub use recipe::{
+    AntiWindup, CertifiedLoop, ControllerRecipe, DriveLimits, Law, OperatingPoint, Provenance,
+    RecipeSettings, ReferencePath,
+};
+pub use static_inverse::StaticInverse;

@@ -1,0 +1,290 @@
+//! The conditions under which a gamma can be reached, and the central controller that reaches it.
+//!
+//! Both come from the stable subspaces `[X1; X2]` and `[Y1; Y2]` of two Hamiltonian matrices. Nothing is divided by `X1` or
+//! `Y1`, so a solution `X` that is about to become infinite (the usual limit of a stable plant, whose `Y` is zero) does
+//! no harm.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use serde::{Deserialize, Serialize};
+use telepulse_lti::riccati::StableSubspace;
+use telepulse_lti::{Continuous, StateSpace};
+
+use super::normalized_plant::NormalizedPlant;
+use crate::Error;
+
+/// A condition that a gamma must satisfy; the one that fails first is the one that binds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Condition {
+    /// Gamma must exceed what remains of `D11` after the best static feedback (Parrott's bound).
+    DirectTerm,
+    /// The control Hamiltonian must have no eigenvalue on the imaginary axis.
+    ControlAxis,
+    /// The control Riccati solution `X` must be finite and positive semidefinite.
+    ControlDefinite,
+    /// The filter Hamiltonian must have no eigenvalue on the imaginary axis.
+    FilterAxis,
+    /// The filter Riccati solution `Y` must be finite and positive semidefinite.
+    FilterDefinite,
+    /// The spectral radius of `X Y` must be below `gamma²`.
+    Coupling,
+}
+
+/// The two subspaces at a gamma that satisfies every condition.
+pub(super) struct Feasible {
+    gamma: f64,
+    x: StableSubspace,
+    y: StableSubspace,
+}
+
+/// Outcome of testing one gamma.
+pub(super) enum Test {
+    Feasible(Box<Feasible>),
+    Violated(Condition),
+}
+
+/// Returns Parrott's bound: the norm of `D11` that no static feedback can lower.
+pub(super) fn parrott_bound(plant: &NormalizedPlant) -> f64 {
+    let upper = plant.d11.rows(0, plant.n_z_free());
+    let left = plant.d11.columns(0, plant.n_w_free());
+    let norm = |m: DMatrix<f64>| if m.is_empty() { 0.0 } else { m.singular_values().max() };
+    norm(upper.into_owned()).max(norm(left.into_owned()))
+}
+
+/// Tests whether some controller reaches `gamma`.
+///
+/// **Method**: after the substitutions `u → u - C12 x - D112 w` and its dual, the two Hamiltonians of the general-`D11` problem
+/// have definite constant terms, which need no indefinite inverse.
+///
+/// **Source**: Glover and Doyle 1988; Zhou, Doyle and Glover 1996, theorem 17.1.
+///
+/// **Errors**: those of the Schur form; a condition that fails is an answer, not an error.
+pub(super) fn test(plant: &NormalizedPlant, gamma: f64) -> Result<Test, Error> {
+    if gamma <= parrott_bound(plant) {
+        return Ok(Test::Violated(Condition::DirectTerm));
+    }
+    let Some((control, filter)) = ControlTerms::new(plant, gamma).zip(FilterTerms::new(plant, gamma)) else {
+        return Ok(Test::Violated(Condition::DirectTerm));
+    };
+    let x = match subspace(&control.a, &control.g, &control.q)? {
+        None => return Ok(Test::Violated(Condition::ControlAxis)),
+        Some(x) => x,
+    };
+    if !is_positive_semidefinite(&x) {
+        return Ok(Test::Violated(Condition::ControlDefinite));
+    }
+    let y = match subspace(&filter.a, &filter.g, &filter.q)? {
+        None => return Ok(Test::Violated(Condition::FilterAxis)),
+        Some(y) => y,
+    };
+    if !is_positive_semidefinite(&y) {
+        return Ok(Test::Violated(Condition::FilterDefinite));
+    }
+    match coupling(&x, &y) {
+        Some(radius) if radius < gamma * gamma => Ok(Test::Feasible(Box::new(Feasible { gamma, x, y }))),
+        _ => Ok(Test::Violated(Condition::Coupling)),
+    }
+}
+
+impl Feasible {
+    /// Returns the central controller of the normalized plant.
+    ///
+    /// **Method**: Theorem 17.1 of Zhou, Doyle and Glover in the coordinates `x = X1 q`:
+    ///
+    /// ```text
+    ///     q' = T q + E⁻¹ L (y - (C2 + F12) X1 q)       E = Y1ᵀ X1 - Y2ᵀ X2 / gamma²
+    ///     u  = F2 X1 q + Dhat11 (y - (C2 + F12) X1 q)   L = Y1ᵀ (-H2 + (B2 + H12) Dhat11)
+    /// ```
+    ///
+    /// where `T` is the restriction of the control Hamiltonian. At the optimum `E` becomes singular.
+    ///
+    /// **Errors**: [`Error::IllConditioned`] where `E` is singular to working precision.
+    pub(super) fn controller(&self, plant: &NormalizedPlant) -> Result<StateSpace<Continuous>, Error> {
+        let gamma = self.gamma;
+        let lost = || Error::IllConditioned { gamma, achieved: f64::INFINITY };
+        let control = ControlTerms::new(plant, gamma).ok_or_else(lost)?;
+        let filter = FilterTerms::new(plant, gamma).ok_or_else(lost)?;
+        let (n_zf, n_u, n_wf, n_y) = (plant.n_z_free(), plant.n_u(), plant.n_w_free(), plant.n_y());
+        let (x1, x2) = bases(&self.x);
+        let (y1, y2) = bases(&self.y);
+
+        // F1 X1 (worst disturbance) and F2 X1 (control).
+        let f1 = &control.rw_inverse * (control.b1.tr_mul(&x2) + control.du.tr_mul(&(&control.c11 * &x1)));
+        let f2 = -(plant.c1.rows(n_zf, n_u) * &x1) - &control.d112 * &f1 - plant.b2.tr_mul(&x2);
+        // Y1ᵀ H1 and Y1ᵀ H2.
+        let h1 = (y2.tr_mul(&filter.c1.transpose()) + y1.tr_mul(&filter.b11) * filter.dl.transpose())
+            * &filter.rz_inverse;
+        let h2 = -(y1.tr_mul(&plant.b1.columns(n_wf, n_y)))
+            - &h1 * &filter.d112
+            - y2.tr_mul(&plant.c2.transpose());
+
+        // Dhat11 = -D1121 D1111ᵀ (gamma² I - D1111 D1111ᵀ)⁻¹ D1112 - D1122
+        let d1111 = plant.d11_quarter(false, false);
+        let r = DMatrix::identity(n_zf, n_zf) * (gamma * gamma) - &d1111 * d1111.transpose();
+        let d1112 = plant.d11_quarter(false, true);
+        let inner = if d1112.is_empty() { d1112 } else { r.lu().solve(&d1112).ok_or_else(lost)? };
+        let mut dhat =
+            -(plant.d11_quarter(true, false) * d1111.transpose() * inner) - plant.d11_quarter(true, true);
+        // Rounding of the rotations must not turn a strictly proper controller into one with zeros near infinity.
+        let rounding = 4.0 * f64::EPSILON * plant.d11.norm();
+        dhat.apply(|v| *v = if v.abs() <= rounding { 0.0 } else { *v });
+
+        let e = y1.tr_mul(&x1) - y2.tr_mul(&x2) / (gamma * gamma);
+        let l = -h2 + (y1.tr_mul(&plant.b2) + h1.columns(n_zf, n_u)) * &dhat;
+        let bk = solve_equilibrated(e, l).ok_or_else(lost)?;
+        let seen = &plant.c2 * &x1 + f1.rows(n_wf, n_y);
+        let ak = &self.x.restriction - &bk * &seen;
+        let ck = f2 - &dhat * &seen;
+        Ok(StateSpace::<Continuous>::new(ak, bk, ck, dhat)?.balanced())
+    }
+
+    /// Larger isotropy error of the two subspaces, a measure of their rounding.
+    pub(super) fn isotropy_error(&self) -> f64 {
+        self.x.isotropy_error.max(self.y.isotropy_error)
+    }
+}
+
+/// Terms of `X`: `u` has been substituted so that it no longer meets `D11` and `C1`.
+struct ControlTerms {
+    a: DMatrix<f64>,
+    g: DMatrix<f64>,
+    q: DMatrix<f64>,
+    b1: DMatrix<f64>,
+    c11: DMatrix<f64>,
+    du: DMatrix<f64>,
+    d112: DMatrix<f64>,
+    rw_inverse: DMatrix<f64>,
+}
+
+impl ControlTerms {
+    /// `None` where `gamma² I - Duᵀ Du` is not positive definite.
+    fn new(plant: &NormalizedPlant, gamma: f64) -> Option<Self> {
+        let (n_zf, n_u, n_w) = (plant.n_z_free(), plant.n_u(), plant.b1.ncols());
+        let c11 = plant.c1.rows(0, n_zf).into_owned();
+        let du = plant.d11.rows(0, n_zf).into_owned();
+        let d112 = plant.d11.rows(n_zf, n_u).into_owned();
+        let b1 = &plant.b1 - &plant.b2 * &d112;
+        let rw = DMatrix::identity(n_w, n_w) * (gamma * gamma) - du.tr_mul(&du);
+        let rw_inverse = rw.cholesky()?.inverse();
+        let feedthrough = &du * &rw_inverse;
+        let a = &plant.a - &plant.b2 * plant.c1.rows(n_zf, n_u) + &b1 * feedthrough.transpose() * &c11;
+        let g = &plant.b2 * plant.b2.transpose() - &b1 * &rw_inverse * b1.transpose();
+        let weight = DMatrix::identity(n_zf, n_zf) + feedthrough * du.transpose();
+        let q = c11.tr_mul(&(weight * &c11));
+        Some(Self { a, g: symmetric(&g), q: symmetric(&q), b1, c11, du, d112, rw_inverse })
+    }
+}
+
+/// Terms of `Y`, the dual of [`ControlTerms`].
+struct FilterTerms {
+    a: DMatrix<f64>,
+    g: DMatrix<f64>,
+    q: DMatrix<f64>,
+    b11: DMatrix<f64>,
+    c1: DMatrix<f64>,
+    dl: DMatrix<f64>,
+    d112: DMatrix<f64>,
+    rz_inverse: DMatrix<f64>,
+}
+
+impl FilterTerms {
+    /// `None` where `gamma² I - Dl Dlᵀ` is not positive definite.
+    fn new(plant: &NormalizedPlant, gamma: f64) -> Option<Self> {
+        let (n_wf, n_y, n_z) = (plant.n_w_free(), plant.n_y(), plant.c1.nrows());
+        let b11 = plant.b1.columns(0, n_wf).into_owned();
+        let dl = plant.d11.columns(0, n_wf).into_owned();
+        let d112 = plant.d11.columns(n_wf, n_y).into_owned();
+        let c1 = &plant.c1 - &d112 * &plant.c2;
+        let rz = DMatrix::identity(n_z, n_z) * (gamma * gamma) - &dl * dl.transpose();
+        let rz_inverse = rz.cholesky()?.inverse();
+        let feedthrough = &rz_inverse * &dl;
+        let a = &plant.a - plant.b1.columns(n_wf, n_y) * &plant.c2 + &b11 * feedthrough.transpose() * &c1;
+        let g = plant.c2.tr_mul(&plant.c2) - c1.tr_mul(&(&rz_inverse * &c1));
+        let weight = DMatrix::identity(n_wf, n_wf) + dl.tr_mul(&feedthrough);
+        let q = &b11 * weight * b11.transpose();
+        Some(Self { a: a.transpose(), g: symmetric(&g), q: symmetric(&q), b11, c1, dl, d112, rz_inverse })
+    }
+}
+
+fn symmetric(m: &DMatrix<f64>) -> DMatrix<f64> {
+    (m + m.transpose()) * 0.5
+}
+
+/// The stable subspace, or `None` where eigenvalues on the axis (or inseparable ones next to it) leave none.
+fn subspace(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<Option<StableSubspace>, Error> {
+    match StableSubspace::new(a, g, q) {
+        Ok(subspace) => Ok(Some(subspace)),
+        Err(telepulse_lti::Error::HamiltonianAxis { .. } | telepulse_lti::Error::SwapFailed { .. }) => {
+            Ok(None)
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Both halves of the basis in the plant's coordinates.
+fn bases(s: &StableSubspace) -> (DMatrix<f64>, DMatrix<f64>) {
+    let mut upper = s.x1.clone();
+    let mut lower = s.x2.clone();
+    for (i, &scale) in s.scaling.iter().enumerate() {
+        upper.row_mut(i).scale_mut(scale);
+        lower.row_mut(i).unscale_mut(scale);
+    }
+    (upper, lower)
+}
+
+fn is_positive_semidefinite(s: &StableSubspace) -> bool {
+    s.angles().iter().all(|angle| *angle > -ZERO_ANGLE)
+}
+
+/// Spectral radius of `X Y` for positive semidefinite `X` and `Y`; `None` where one of them is infinite.
+fn coupling(x: &StableSubspace, y: &StableSubspace) -> Option<f64> {
+    if x.x1.is_empty() {
+        return Some(0.0);
+    }
+    let (xb, yb) = (balanced_solution(x)?, balanced_solution(y)?);
+    // X Y is similar to Xb W Yb W with W = Dx⁻¹ Dy⁻¹ (Y lives on the dual coordinates).
+    let w = x.scaling.zip_map(&y.scaling, |dx, dy| 1.0 / (dx * dy));
+    let yw = DMatrix::from_fn(yb.nrows(), yb.ncols(), |i, j| w[i] * yb[(i, j)] * w[j]);
+    let eigen = SymmetricEigen::new(xb);
+    let mut root = eigen.eigenvectors;
+    for (mut column, value) in root.column_iter_mut().zip(eigen.eigenvalues.iter()) {
+        column.scale_mut(value.max(0.0).sqrt());
+    }
+    let product = root.tr_mul(&(yw * &root));
+    Some(symmetric(&product).symmetric_eigenvalues().max().max(0.0))
+}
+
+fn balanced_solution(s: &StableSubspace) -> Option<DMatrix<f64>> {
+    let xt = s.x1.transpose().lu().solve(&s.x2.transpose())?;
+    xt.iter().all(|v| v.is_finite()).then(|| symmetric(&xt))
+}
+
+/// Solves `E X = L` with rows and columns scaled to like size first.
+fn solve_equilibrated(mut e: DMatrix<f64>, mut l: DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let n = e.nrows();
+    if n == 0 {
+        return Some(l);
+    }
+    for i in 0..n {
+        let size = e.row(i).amax();
+        if size == 0.0 || !size.is_finite() {
+            return None;
+        }
+        e.row_mut(i).unscale_mut(size);
+        l.row_mut(i).unscale_mut(size);
+    }
+    let mut columns = Vec::with_capacity(n);
+    for mut column in e.column_iter_mut() {
+        let size = column.amax();
+        column.unscale_mut(size);
+        columns.push(size);
+    }
+    let mut x = e.full_piv_lu().solve(&l)?;
+    for (mut row, size) in x.row_iter_mut().zip(columns) {
+        row.unscale_mut(size);
+    }
+    x.iter().all(|v| v.is_finite()).then_some(x)
+}
+
+/// An angle this little below zero is a zero of `X` seen through rounding.
+const ZERO_ANGLE: f64 = 1e-7;

@@ -1,0 +1,294 @@
+//! H-infinity synthesis: bracket the smallest reachable norm, design once just above it, measure what was achieved.
+
+use num_complex::Complex64;
+use telepulse_lti::{Continuous, GeneralizedPlant, PeakGain, StateSpace, hinf_norm};
+
+use super::assumptions::{self, Strictness};
+use super::central_controller::{Condition, Feasible, Test, parrott_bound, test};
+use super::controller_speed::slowed_down;
+use super::normalized_plant::NormalizedPlant;
+use crate::Error;
+
+/// Settings of [`hinfsyn`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HinfOptions {
+    /// The controller is designed at this factor times the bracket's upper end; above 1. Controllers at the optimum
+    /// itself have poles near infinity. Default 1.01.
+    pub backoff: f64,
+    /// Relative width at which the bracket is narrow enough. Default `1e-6`.
+    pub gamma_tolerance: f64,
+    /// Largest gamma that is tried before the problem counts as infeasible. Default `1e9`.
+    pub gamma_max: f64,
+    /// Fastest controller pole allowed, in rad/s (default: no limit). Modes beyond it are replaced by their static gain
+    /// where the loop bears that, else gamma is relaxed up to [`HinfOptions::relaxation_max`].
+    pub max_controller_pole_rad_s: Option<f64>,
+    /// Largest factor on the bracket's upper end to which gamma may be relaxed. Default 2.
+    pub relaxation_max: f64,
+}
+
+impl Default for HinfOptions {
+    fn default() -> Self {
+        Self {
+            backoff: 1.01,
+            gamma_tolerance: 1e-6,
+            gamma_max: 1e9,
+            max_controller_pole_rad_s: None,
+            relaxation_max: 2.0,
+        }
+    }
+}
+
+/// A controller and the evidence for it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HinfDesign {
+    /// The controller, `u = K y`.
+    pub controller: StateSpace<Continuous>,
+    /// No controller reaches this norm.
+    pub gamma_lower: f64,
+    /// Some controller reaches this norm.
+    pub gamma_upper: f64,
+    /// The norm that this controller was designed for.
+    pub gamma_design: f64,
+    /// The closed-loop norm on the plant as it was given, recomputed from the closed loop.
+    pub achieved: PeakGain,
+    /// Poles of the closed loop in rad/s, all stable.
+    pub closed_loop_poles: Vec<Complex64>,
+    /// The condition that fails at `gamma_lower`; `None` where the norm can be made as small as one likes.
+    pub binding_condition: Option<Condition>,
+    /// Feasibility tests spent on the bracket.
+    pub n_feasibility_tests: usize,
+    /// Controller modes that were replaced by their static gain to satisfy `max_controller_pole_rad_s`.
+    pub n_residualized: usize,
+    /// Norm of `X1ᵀ X2 - X2ᵀ X1` of the worse of the two subspaces: rounding of the design.
+    pub isotropy_error: f64,
+}
+
+impl HinfDesign {
+    /// Largest magnitude of a controller pole, in rad/s.
+    ///
+    /// **Errors**: those of the eigenvalue iteration.
+    pub fn fastest_controller_pole_rad_s(&self) -> Result<f64, Error> {
+        Ok(fastest_pole(&self.controller)?)
+    }
+}
+
+/// Returns a controller whose closed-loop H-infinity norm is within the back-off of the smallest possible.
+///
+/// **Shapes and units**: see [`GeneralizedPlant`] for the loop; feedback is `u = K y`.
+///
+/// **Method**: normalize `D12` and `D21`, check the assumptions mode by mode, bracket gamma by bisection of its logarithm
+/// between Parrott's bound and a feasible value, design the central controller once at `backoff` times the upper end,
+/// undo the normalization (including `D22`), close the loop on the given plant and compute its norm through
+/// [`hinf_norm()`]. A design whose loop is unstable or misses its gamma is discarded and repeated further from the
+/// optimum; it is never returned.
+///
+/// **Source**: Glover and Doyle 1988; Zhou, Doyle and Glover 1996, chapters 16 and 17.
+///
+/// **Accuracy**: `achieved.upper <= 1.0001 · gamma_design`, checked.
+///
+/// **Errors**: [`Error::SingularD12`], [`Error::SingularD21`], [`Error::NotStabilizable`], [`Error::NotDetectable`],
+/// [`Error::AxisZero`], [`Error::Infeasible`], [`Error::NotConverged`], [`Error::IllConditioned`],
+/// [`Error::ControllerTooFast`], [`Error::OutOfRange`] for options.
+///
+/// **Example**
+/// ```
+/// use telepulse_design::synthesize::{HinfOptions, MixedSensitivityWeights, hinfsyn, mixed_sensitivity};
+/// use telepulse_lti::TransferFunction;
+/// let g = TransferFunction::new(&[1.0], &[1.0, 1.0])?;
+/// let we = TransferFunction::new(&[0.5, 1.0], &[1.0, 0.001])?;
+/// let wu = TransferFunction::new(&[0.1], &[1.0])?;
+/// let plant = mixed_sensitivity(&g, &MixedSensitivityWeights { we: &we, wu: &wu, wt: None })?;
+/// let design = hinfsyn(&plant, &HinfOptions::default())?;
+/// assert!(design.gamma_lower <= design.achieved.value);
+/// assert!(design.achieved.upper <= 1.011 * design.gamma_upper);
+/// # Ok::<(), telepulse_design::Error>(())
+/// ```
+pub fn hinfsyn(plant: &GeneralizedPlant, options: &HinfOptions) -> Result<HinfDesign, Error> {
+    check_options(options)?;
+    let normalized = NormalizedPlant::new(plant)?;
+    assumptions::check(&normalized, Strictness::Certain)?;
+    let bracket = Bracket::find(&normalized, options)?;
+    let gamma_floor = bracket.upper.max(bracket.lower);
+    let mut factor = options.backoff;
+    let mut last = Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper };
+    for _ in 0..DESIGNS_MAX {
+        let gamma = factor * gamma_floor;
+        match Attempt::new(plant, &normalized, gamma, options.max_controller_pole_rad_s) {
+            Ok(attempt) => {
+                return Ok(HinfDesign {
+                    controller: attempt.controller,
+                    gamma_lower: bracket.lower,
+                    gamma_upper: bracket.upper,
+                    gamma_design: gamma,
+                    achieved: attempt.achieved,
+                    closed_loop_poles: attempt.closed_loop_poles,
+                    binding_condition: bracket.binding,
+                    n_feasibility_tests: bracket.n_tests,
+                    n_residualized: attempt.n_residualized,
+                    isotropy_error: attempt.isotropy_error,
+                });
+            }
+            Err(error @ (Error::IllConditioned { .. } | Error::ControllerTooFast { .. })) => last = error,
+            Err(error) => return Err(error),
+        }
+        if factor >= options.relaxation_max {
+            break;
+        }
+        factor = (1.0 + RELAXATION_GROWTH * (factor - 1.0)).min(options.relaxation_max);
+    }
+    Err(last)
+}
+
+fn check_options(options: &HinfOptions) -> Result<(), Error> {
+    let range = |key, found: f64, valid: bool, allowed| {
+        if valid { Ok(()) } else { Err(Error::OutOfRange { key, found, allowed }) }
+    };
+    let HinfOptions { backoff, gamma_tolerance, gamma_max, max_controller_pole_rad_s, relaxation_max } =
+        *options;
+    range("backoff", backoff, backoff > 1.0 && backoff.is_finite(), "above 1")?;
+    range("gamma_tolerance", gamma_tolerance, (1e-12..=0.1).contains(&gamma_tolerance), "from 1e-12 to 0.1")?;
+    range("gamma_max", gamma_max, gamma_max > 0.0 && gamma_max.is_finite(), "positive and finite")?;
+    range(
+        "relaxation_max",
+        relaxation_max,
+        relaxation_max >= backoff && relaxation_max.is_finite(),
+        "at least backoff",
+    )?;
+    let limit = max_controller_pole_rad_s.unwrap_or(1.0);
+    range("max_controller_pole_rad_s", limit, limit > 0.0 && limit.is_finite(), "positive and finite")
+}
+
+/// The smallest reachable gamma between two tested values.
+struct Bracket {
+    lower: f64,
+    upper: f64,
+    binding: Option<Condition>,
+    n_tests: usize,
+}
+
+impl Bracket {
+    fn find(plant: &NormalizedPlant, options: &HinfOptions) -> Result<Self, Error> {
+        let parrott = parrott_bound(plant);
+        let mut bracket = Self {
+            lower: parrott,
+            upper: f64::INFINITY,
+            binding: (parrott > 0.0).then_some(Condition::DirectTerm),
+            n_tests: 0,
+        };
+        // Up, by factors, until something is feasible.
+        let mut gamma = if parrott > 0.0 { 2.0 * parrott } else { FIRST_GAMMA };
+        while bracket.upper.is_infinite() {
+            bracket.try_gamma(plant, gamma.min(options.gamma_max))?;
+            if bracket.upper.is_infinite() && gamma >= options.gamma_max {
+                assumptions::check(plant, Strictness::Likely)?;
+                return Err(Error::Infeasible { gamma_max: options.gamma_max, binding: bracket.binding });
+            }
+            gamma *= GROWTH;
+        }
+        // Down, likewise, where no lower end is known yet.
+        let smallest = bracket.upper * SMALLEST_RELATIVE;
+        while bracket.lower == 0.0 && bracket.upper > smallest {
+            bracket.try_gamma(plant, bracket.upper / GROWTH)?;
+        }
+        if bracket.lower == 0.0 {
+            return Ok(bracket);
+        }
+        for _ in 0..BISECTIONS_MAX {
+            if bracket.upper <= bracket.lower * (1.0 + options.gamma_tolerance) {
+                return Ok(bracket);
+            }
+            bracket.try_gamma(plant, (bracket.lower * bracket.upper).sqrt())?;
+        }
+        Err(Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper })
+    }
+
+    fn try_gamma(&mut self, plant: &NormalizedPlant, gamma: f64) -> Result<(), Error> {
+        self.n_tests += 1;
+        match test(plant, gamma)? {
+            Test::Feasible(_) => self.upper = gamma,
+            Test::Violated(condition) => {
+                self.lower = gamma;
+                self.binding = Some(condition);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A verified design at one gamma.
+struct Attempt {
+    controller: StateSpace<Continuous>,
+    achieved: PeakGain,
+    closed_loop_poles: Vec<Complex64>,
+    n_residualized: usize,
+    isotropy_error: f64,
+}
+
+impl Attempt {
+    fn new(
+        plant: &GeneralizedPlant,
+        normalized: &NormalizedPlant,
+        gamma: f64,
+        limit_rad_s: Option<f64>,
+    ) -> Result<Self, Error> {
+        let feasible: Feasible = match test(normalized, gamma)? {
+            Test::Feasible(feasible) => *feasible,
+            Test::Violated(_) => return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY }),
+        };
+        let central = normalized.recover(&feasible.controller(normalized)?)?;
+        let mut attempt = Self::verified(plant, central, gamma)?;
+        attempt.isotropy_error = feasible.isotropy_error();
+        let Some(limit_rad_s) = limit_rad_s else { return Ok(attempt) };
+        let pole_rad_s = fastest_pole(&attempt.controller)?;
+        if pole_rad_s <= limit_rad_s {
+            return Ok(attempt);
+        }
+        let too_fast = Error::ControllerTooFast { gamma, pole_rad_s, limit_rad_s };
+        let n_before = attempt.controller.n_states();
+        let slow = slowed_down(&attempt.controller, limit_rad_s)?.ok_or_else(|| too_fast.clone())?;
+        let n_residualized = n_before - slow.n_states();
+        // A loop that does not bear the static replacement is one more reason to relax gamma.
+        let slow = Self::verified(plant, slow, gamma).map_err(|error| match error {
+            Error::IllConditioned { .. } => too_fast,
+            other => other,
+        })?;
+        Ok(Self { n_residualized, isotropy_error: attempt.isotropy_error, ..slow })
+    }
+
+    /// Closes the loop on the plant as given and measures it.
+    fn verified(
+        plant: &GeneralizedPlant,
+        controller: StateSpace<Continuous>,
+        gamma: f64,
+    ) -> Result<Self, Error> {
+        let closed_loop = plant.lower_lft(&controller)?;
+        let closed_loop_poles = closed_loop.poles()?;
+        if closed_loop_poles.iter().any(|pole| pole.re >= 0.0) {
+            return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY });
+        }
+        let achieved = hinf_norm(&closed_loop)?;
+        if achieved.upper > gamma * (1.0 + ACHIEVED_TOLERANCE) {
+            return Err(Error::IllConditioned { gamma, achieved: achieved.value });
+        }
+        Ok(Self { controller, achieved, closed_loop_poles, n_residualized: 0, isotropy_error: 0.0 })
+    }
+}
+
+fn fastest_pole(sys: &StateSpace<Continuous>) -> Result<f64, telepulse_lti::Error> {
+    Ok(sys.poles()?.into_iter().fold(0.0, |fastest, pole| pole.norm().max(fastest)))
+}
+
+/// First gamma tried where the direct term gives no hint.
+const FIRST_GAMMA: f64 = 1.0;
+/// Factor between gammas while one end of the bracket is unknown.
+const GROWTH: f64 = 10.0;
+/// A problem that is still feasible this far below the first feasible gamma has no lower end worth finding.
+const SMALLEST_RELATIVE: f64 = 1e-12;
+/// Halvings of the logarithm: a decade to `1e-12` takes 42.
+const BISECTIONS_MAX: usize = 80;
+/// Designs tried, each further from the optimum than the one before.
+const DESIGNS_MAX: usize = 12;
+/// Growth of the distance from the optimum between designs.
+const RELAXATION_GROWTH: f64 = 2.0;
+/// How far the measured norm may exceed the gamma of the design.
+const ACHIEVED_TOLERANCE: f64 = 1e-4;

@@ -1,0 +1,9 @@
+//! Tests of the desk through its public interface.
+
+#![allow(clippy::print_stdout)]
+
+mod identification;
+mod implementation;
+mod printed;
+mod synthesis;
+mod verification;

@@ -1,0 +1,3 @@
+//! File formats, read from any `Read` and written to any `Write`.
+
+pub mod csv;

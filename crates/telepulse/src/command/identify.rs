@@ -1,0 +1,81 @@
+//! `telepulse identify`: a sweep, a model, a bound.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use serde::Serialize;
+use telepulse_design::identify::{InputLinearisation, SweepRecord};
+
+use super::{Verdict, answer};
+use crate::artefact;
+use crate::station::device::{self, Conditions};
+use crate::study::config::Study;
+use crate::study::identify::{identify, plant_model, sweep};
+use crate::study::outcome::Identified;
+
+#[derive(Debug, Args)]
+pub(super) struct IdentifyArguments {
+    /// Study whose rig is swept, and whose settings are used.
+    #[arg(long, value_name = "DIR", default_value = "studies/diaphragm-2017")]
+    study: PathBuf,
+    /// A sweep of your own instead: CSV with frequency_hz,amplitude,magnitude,phase_deg (mm per unit, degrees).
+    #[arg(long, value_name = "CSV")]
+    sweep: Option<PathBuf>,
+    /// The command is the square of the voltage; the root is taken at the amplifier.
+    #[arg(long)]
+    square_root: bool,
+    /// File for the model.
+    #[arg(long, value_name = "FILE", default_value = "model.json")]
+    out: PathBuf,
+    /// File for the sweep as measured.
+    #[arg(long, value_name = "CSV")]
+    save_sweep: Option<PathBuf>,
+}
+
+#[derive(Debug, Serialize)]
+struct Answer {
+    identified: Identified,
+    model: String,
+}
+
+pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
+    let study = Study::load(&typed.study)?;
+    let input = if typed.square_root { InputLinearisation::SquareRoot } else { InputLinearisation::None };
+    let own = typed.sweep.clone().or_else(|| study.identify.sweep_csv.as_ref().map(|path| study.path(path)));
+    let record = match &own {
+        Some(path) => {
+            SweepRecord::from_csv(&artefact::read_text(path)?).with_context(|| format!("in {}", path.display()))?
+        }
+        None => {
+            let twin = device::twin(&study)?;
+            let mut rig = device::displacement(&study, &twin, Conditions::default())?;
+            sweep(&mut rig, &study, device::displacement_scale(), input)?
+        }
+    };
+    let source = own.as_ref().map_or_else(|| "virtual rig".to_owned(), |path| path.display().to_string());
+    let found = identify(record, study.identify.rc_s).with_context(|| format!("from {source}"))?;
+    if let Some(path) = &typed.save_sweep {
+        artefact::write_file(path, found.record.to_csv().as_bytes())?;
+    }
+    let model = plant_model(&study, &found, input, &source)?;
+    artefact::write_file(&typed.out, &serde_json::to_vec_pretty(&model)?)?;
+    ensure!(found.bound.violations == 0, "the bound lies below {} of its points", found.bound.violations);
+    let answered = Answer { identified: found.summary(), model: typed.out.display().to_string() };
+    answer(json, &answered, || {
+        let i = &answered.identified;
+        vec![
+            format!(
+                "G: {:.4} mm/unit, {:.3} rad/s, zeta {:.4}, RC {:.3} ms; rms residual {:.4} mm/unit",
+                i.dc_gain_mm_per_unit,
+                i.omega_n_rad_s,
+                i.zeta,
+                1e3 * i.rc_s,
+                i.residual_rms
+            ),
+            format!("W_s: {:?} / {:?}, above all {} points", i.bound_numerator, i.bound_denominator, i.bound_points),
+            format!("written: {}", answered.model),
+        ]
+    })?;
+    Ok(Verdict::Done)
+}

@@ -1,0 +1,90 @@
+//! `telepulse track RECIPE --reference FILE.csv`: a reference of your own on the virtual rig.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use serde::Serialize;
+use telepulse_pulse::Unit;
+
+use super::{Verdict, answer};
+use crate::artefact;
+use crate::recording;
+use crate::station::{control, device};
+use crate::station::replay::{Followed, follow, pulse_reference, read_recipe};
+use crate::study::config::Study;
+
+#[derive(Debug, Args)]
+pub(super) struct TrackArguments {
+    /// Recipe of the controller.
+    recipe: PathBuf,
+    /// Reference: CSV with time_s,value,unit. In mm it is the displacement from rest; any other unit is a pulse, which is
+    /// scaled to the study's peak-to-peak pressure unless it is in Pa.
+    #[arg(long, value_name = "CSV")]
+    reference: PathBuf,
+    /// Study whose rig is used.
+    #[arg(long, value_name = "DIR", default_value = "studies/diaphragm-2017")]
+    study: PathBuf,
+    /// File for the run, thinned: JSON.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// What came of it.
+#[derive(Debug, Serialize)]
+struct Answer {
+    #[serde(flatten)]
+    pulse: crate::study::outcome::PulseReplay,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mean_abs_error_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_abs_error_mm: Option<f64>,
+    provenance: String,
+}
+
+/// Largest displacement that a reference may ask for: what 5 kV makes on the weakest parameter set.
+const MAX_MM: f64 = 2.5;
+
+pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
+    let study = Study::load(&typed.study)?;
+    let recipe = read_recipe(&typed.recipe)?;
+    let reference = recording::read(&typed.reference)?;
+    let reference_mm = match reference.unit() {
+        Unit::Millimetre => {
+            let found = reference.values().iter().copied().find(|x| !(0.0..=MAX_MM).contains(x));
+            ensure!(
+                found.is_none(),
+                "{}: column `value`: found {} mm, allowed 0 to {MAX_MM} mm from rest",
+                typed.reference.display(),
+                found.unwrap_or_default()
+            );
+            telepulse_pulse::resample::resample(&reference, study.control.sample_rate_hz)?.values().to_vec()
+        }
+        Unit::Pascal => pulse_reference(&study, &reference)?,
+        _ => pulse_reference(
+            &study,
+            &reference.scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)?,
+        )?,
+    };
+    let twin = device::twin(&study)?;
+    let Followed { result, trace, mean_abs_error_mm, max_abs_error_mm } =
+        follow(&study, &twin, &recipe, &reference.title, reference_mm)?;
+    if let Some(path) = &typed.out {
+        artefact::write_file(path, &serde_json::to_vec(&trace)?)?;
+    }
+    let unstable = result.unstable;
+    let answered =
+        Answer { pulse: result, mean_abs_error_mm, max_abs_error_mm, provenance: control::provenance(&recipe) };
+    answer(json, &answered, || {
+        vec![
+            match (answered.pulse.lag_ms, answered.pulse.nrmse, answered.mean_abs_error_mm) {
+                (Some(lag), Some(nrmse), Some(mm)) => {
+                    format!("lag {lag:.3} ms, NRMSE {:.3} %, mean error {mm:.5} mm", 100.0 * nrmse)
+                }
+                _ => format!("UNSTABLE: {}", answered.pulse.unstable_reason.clone().unwrap_or_default()),
+            },
+            answered.provenance.clone(),
+        ]
+    })?;
+    Ok(if unstable { Verdict::CheckFailed } else { Verdict::Done })
+}

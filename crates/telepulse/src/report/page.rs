@@ -1,0 +1,330 @@
+//! The page that shows a study.
+
+use super::figures::controller_style;
+use crate::figure::{Cell, Figure, ReportPage, Status, Table};
+use crate::study::outcome::{CertificateSummary, Outcome, Synthesis, Tracking};
+
+/// Table 1 of the paper: error in mm, effort index, power in W, by condition.
+const TABLE_1: [(&str, &str, f64, f64, f64); 4] = [
+    ("normal", "Normal", 0.0107, 0.3431, 0.3186),
+    ("disturbance", "Constant disturbance", 0.0114, 0.3008, 0.2678),
+    ("noise", "Sensing noise", 0.0107, 0.3565, 0.3355),
+    ("both", "Disturbance and noise", 0.0117, 0.2935, 0.2589),
+];
+
+/// Controllers in the order in which tables name them.
+const CONTROLLERS: [&str; 5] = ["printed_k", "hinf", "best", "pid_auto", "pid_manual"];
+
+fn status(holds: bool) -> Status {
+    if holds { Status::Pass } else { Status::Fail }
+}
+
+fn name(controller: &str) -> &'static str {
+    controller_style(controller).0
+}
+
+/// The whole page as HTML.
+#[must_use]
+pub fn render(outcome: &Outcome, figures: &[Figure]) -> String {
+    let draw = |page: ReportPage, ids: &[&str]| {
+        ids.iter().fold(page, |page, id| match figures.iter().find(|figure| figure.id() == *id) {
+            Some(figure) => page.figure(figure),
+            None => page,
+        })
+    };
+    let mut page = summary(outcome);
+    page = page.section("The tracked pulse").paragraph(
+        "A recorded pulse was sent from a patient process to a doctor process and replayed there on the virtual rig.",
+    );
+    page = draw(page, &["tracked-pulse"]);
+    page = page.section("Device").paragraph(
+        "Reduced twin of the membrane, derived from the corrected model; identification sees its sensor and its drive only.",
+    );
+    page = draw(page, &["fig09-step"]);
+    page = identification(page, outcome);
+    page = draw(page, &["fig07-frequency-response", "fig08-uncertainty"]);
+    page = design(page, outcome);
+    page = draw(page, &["fig12-closed-loop"]);
+    page = tracking(page, outcome);
+    page = draw(page, &["fig13-tracking", "fig14-pid", "fig15-disturbance-noise"]);
+    page = pulse(page, outcome);
+    page = draw(page, &["fig16-pulse", "fig17-spectrum", "fig18-displacement", "fig20-force"]);
+    page = closing(page, outcome);
+    page.render()
+}
+
+fn summary(outcome: &Outcome) -> ReportPage {
+    let mut page = ReportPage::new(&outcome.title)
+        .subtitle(format!("study {}, {}, seed {}", outcome.study, outcome.program, outcome.seed));
+    let best = |condition: &str| outcome.tracking.get("best").and_then(|runs| runs.get(condition));
+    if let Some(error) = best("normal").and_then(|run| run.mean_abs_error_mm) {
+        page = page.summary(
+            "Mean error on (25), our best",
+            format!("{error:.5} mm (the paper: 0.0107 mm)"),
+            Some(status(error <= 0.001)),
+        );
+    }
+    if let Some(run) = outcome.pulse.get("best").and_then(|runs| runs.get("displacement"))
+        && let (Some(lag_ms), Some(nrmse)) = (run.lag_ms, run.nrmse)
+    {
+        page = page.summary(
+            "Real pulse, our best",
+            format!("lag {lag_ms:.2} ms, NRMSE {:.2} % (the paper: nearly 40 ms)", 100.0 * nrmse),
+            Some(status(lag_ms.abs() <= 2.0 && nrmse <= 0.03)),
+        );
+    }
+    page = page.summary(
+        "Synthesis on the printed plant",
+        format!(
+            "gamma {:.5}, no controller below {:.5} (the printed K: 0.5728)",
+            outcome.synthesis.gamma_achieved, outcome.synthesis.gamma_lower
+        ),
+        Some(status(outcome.synthesis.gamma_achieved <= 0.324)),
+    );
+    let certified = outcome.certificates.iter().filter(|(_, c)| c.holds).map(|(n, _)| name(n)).collect::<Vec<_>>();
+    page = page.summary("Certified controllers", certified.join(", "), Some(status(!certified.is_empty())));
+    page.summary(
+        "Transmission",
+        format!(
+            "{} of {} samples, {} lost, {} duplicated, {} out of order, bit exact: {}",
+            outcome.link.received,
+            outcome.link.sent,
+            outcome.link.lost,
+            outcome.link.duplicated,
+            outcome.link.out_of_order,
+            outcome.link.bit_exact
+        ),
+        Some(status(outcome.link.bit_exact)),
+    )
+}
+
+fn coefficients(values: &[f64]) -> String {
+    let order = values.len().saturating_sub(1);
+    values
+        .iter()
+        .enumerate()
+        .map(|(idx, value)| match order - idx {
+            0 => format!("{value:.6}"),
+            1 => format!("{value:.6} s"),
+            power => format!("{value:.6} s^{power}"),
+        })
+        .collect::<Vec<_>>()
+        .join(" + ")
+}
+
+fn identification(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let mut table = Table::new(
+        "Identified third-order model beside the printed one",
+        ["model", "DC gain, mm/unit", "omega_n, rad/s", "zeta", "RC, ms", "rms residual, mm/unit", "points above the bound"],
+    )
+    .row([
+        Cell::text("printed (16), (17)"),
+        Cell::number(0.935, 4),
+        Cell::number(38.0, 4),
+        Cell::number(0.21, 3),
+        Cell::number(4.5, 3),
+        Cell::Empty,
+        Cell::Empty,
+    ]);
+    for (label, model) in [
+        ("complex least squares", &outcome.identified),
+        ("magnitude only, as the paper", &outcome.identified_magnitude_only),
+        ("command = square of the voltage", &outcome.identified_square_root),
+    ] {
+        table = table.row([
+            Cell::text(label),
+            Cell::number(model.dc_gain_mm_per_unit, 4),
+            Cell::number(model.omega_n_rad_s, 4),
+            Cell::number(model.zeta, 3),
+            Cell::number(1e3 * model.rc_s, 3),
+            Cell::number(model.residual_rms, 3),
+            Cell::text(format!("{} of {}", model.bound_violations, model.bound_points)),
+        ]);
+    }
+    let systems = Table::new("Printed and identified systems", ["system", "printed", "identified"])
+        .row([
+            Cell::text("G numerator, (16)"),
+            Cell::text("1350.14"),
+            Cell::text(coefficients(&outcome.identified.numerator)),
+        ])
+        .row([
+            Cell::text("G denominator"),
+            Cell::text("0.0045 s^3 + 1.07182 s^2 + 22.458 s + 1444"),
+            Cell::text(coefficients(&outcome.identified.denominator)),
+        ])
+        .row([
+            Cell::text("W_s numerator, (17)"),
+            Cell::text("487.5"),
+            Cell::text(coefficients(&outcome.identified.bound_numerator)),
+        ])
+        .row([
+            Cell::text("W_s denominator"),
+            Cell::text("s^2 + 45 s + 2500"),
+            Cell::text(coefficients(&outcome.identified.bound_denominator)),
+        ]);
+    page.section("Identification")
+        .paragraph("Parameter set A was itself fitted to (16), so agreement with (16) is no evidence for the membrane model.")
+        .table(table)
+        .table(systems)
+}
+
+fn synthesis_row(label: &str, s: &Synthesis) -> [Cell; 8] {
+    [
+        Cell::text(label),
+        Cell::number(s.gamma_achieved, 5),
+        Cell::number(s.gamma_lower, 5),
+        Cell::number(s.fastest_pole_rad_s, 4),
+        Cell::number(s.peak_ks, 4),
+        Cell::number(s.peak_s, 4),
+        Cell::number(s.peak_t, 4),
+        Cell::number(s.bandwidth_hz, 4),
+    ]
+}
+
+fn certificate_row(controller: &str, c: &CertificateSummary) -> [Cell; 8] {
+    let verdict = if c.holds { "certified".to_owned() } else { format!("uncertified: {}", c.reason.clone().unwrap_or_default()) };
+    [
+        Cell::text(name(controller)),
+        Cell::check(status(c.holds), verdict),
+        Cell::optional(c.norm_ms, 4),
+        Cell::optional(c.norm_ws, 4),
+        Cell::optional(c.norm_product, 4),
+        Cell::optional(c.frequency_wise, 4),
+        Cell::optional(c.gain_margin, 3),
+        Cell::optional(c.phase_margin_deg, 3),
+    ]
+}
+
+fn design(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let synthesis = Table::new(
+        "S/KS synthesis",
+        ["plant", "gamma", "lower bound", "fastest pole, rad/s", "peak K S", "peak S", "peak T", "bandwidth, Hz"],
+    )
+    .row(synthesis_row("printed (16)", &outcome.synthesis))
+    .row(synthesis_row("identified", &outcome.synthesis_identified))
+    .row(synthesis_row("identified, square of the voltage, with filter (26)", &outcome.synthesis_best));
+    let printed = Table::new("Small-gain test with the printed systems", ["quantity", "printed", "recomputed"])
+        .row([Cell::text("norm of M_s, (22)"), Cell::number(1.7687, 5), Cell::number(outcome.printed.norm_ms, 5)])
+        .row([Cell::text("norm of W_s, (17)"), Cell::number(0.2426, 4), Cell::number(outcome.printed.norm_ws, 6)])
+        .row([Cell::text("1/norm of W_s, (24)"), Cell::number(4.1218, 5), Cell::number(outcome.printed.small_gain_limit, 5)])
+        .row([Cell::text("max |W_s K S|"), Cell::Empty, Cell::number(outcome.printed.frequency_wise, 4)]);
+    let mut certificates = Table::new(
+        "Certificates, each on the identified plant of its own input and its own bound, with the filter (26) in the loop",
+        ["controller", "verdict", "norm K S", "norm W_s", "product", "max |W_s K S|", "gain margin", "phase margin, deg"],
+    );
+    for (controller, certificate) in &outcome.certificates {
+        certificates = certificates.row(certificate_row(controller, certificate));
+    }
+    page.section("Design and certificate").table(synthesis).table(printed).table(certificates).note(
+        "A loop holds its certificate where it is stable and either the norm test (23) or the frequency-wise test is below one.",
+    )
+}
+
+fn cell_of(run: Option<&Tracking>, of: impl Fn(&Tracking) -> Option<f64>, digits: usize) -> Cell {
+    match run {
+        Some(run) if run.unstable => Cell::check(Status::Fail, "unstable"),
+        Some(run) => Cell::optional(of(run), digits),
+        None => Cell::Empty,
+    }
+}
+
+fn tracking(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let run = |controller: &str, condition: &str| outcome.tracking.get(controller).and_then(|runs| runs.get(condition));
+    let mut header = vec!["condition".to_owned(), "the paper".to_owned()];
+    header.extend(CONTROLLERS.iter().map(|c| name(c).to_owned()));
+    let mut error = Table::new("Table 1: mean absolute error, mm", header.clone());
+    let mut effort = Table::new("Table 1: control effort index", header.clone());
+    let mut power = Table::new("Table 1: average power, W", header);
+    for (condition, label, paper_error, paper_effort, paper_power) in TABLE_1 {
+        let row = |paper: f64, of: fn(&Tracking) -> Option<f64>| {
+            let mut cells = vec![Cell::text(label), Cell::number(paper, 4)];
+            cells.extend(CONTROLLERS.iter().map(|c| cell_of(run(c, condition), of, 3)));
+            cells
+        };
+        error = error.row(row(paper_error, |run| run.mean_abs_error_mm));
+        effort = effort.row(row(paper_effort, |run| run.effort_index));
+        power = power.row(row(paper_power, |run| run.average_power_w));
+    }
+    let mut page = page.section("Tracking of (25)").table(error).table(effort).table(power);
+    for controller in CONTROLLERS {
+        if let Some(reason) = run(controller, "normal").and_then(|run| run.unstable_reason.clone()) {
+            page = page.note(format!("{}: {reason}", name(controller)));
+        }
+    }
+    page.paragraph(
+        "Why the auto-tuned PID is not robust: it is stable on the nominal plant, but its peak of K S is a hundred times over \
+         the small-gain limit of 4.12, so dynamics far inside the measured uncertainty make it unstable.",
+    )
+}
+
+fn pulse(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let mut table = Table::new(
+        "Replay of the real pulse",
+        ["mode", "controller", "lag, ms", "NRMSE, %", "NRMSE after delay removal, %", "lowest, V", "highest, V"],
+    );
+    for mode in ["displacement", "force"] {
+        for controller in CONTROLLERS {
+            let Some(run) = outcome.pulse.get(controller).and_then(|runs| runs.get(mode)) else { continue };
+            if run.unstable {
+                let why = run.unstable_reason.clone().unwrap_or_default();
+                table = table.row([
+                    Cell::text(mode),
+                    Cell::text(name(controller)),
+                    Cell::check(Status::Fail, format!("unstable: {why}")),
+                    Cell::Empty,
+                    Cell::Empty,
+                    Cell::Empty,
+                    Cell::Empty,
+                ]);
+                continue;
+            }
+            table = table.row([
+                Cell::text(mode),
+                Cell::text(name(controller)),
+                Cell::optional(run.lag_ms, 3),
+                Cell::optional(run.nrmse.map(|x| 100.0 * x), 3),
+                Cell::optional(run.nrmse_aligned.map(|x| 100.0 * x), 3),
+                Cell::optional(run.min_voltage_v, 4),
+                Cell::optional(run.max_voltage_v, 4),
+            ]);
+        }
+    }
+    let link = &outcome.link;
+    page.section("The pulse")
+        .paragraph(format!(
+            "{} beats, {:.1} per minute. Sent from one process to another: {} samples, {} frames sent again, {} duplicate \
+             frames dropped; SHA-256 of the samples {}.",
+            outcome.pulse_spectrum.beats,
+            outcome.pulse_spectrum.heart_rate_bpm,
+            link.sent,
+            link.retransmitted_frames,
+            link.duplicate_frames_dropped,
+            link.sha256
+        ))
+        .table(table)
+}
+
+fn closing(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let mut disagreements = Table::new("What the paper prints and what follows from it", ["item", "printed", "recomputed", "note"]);
+    for row in &outcome.disagreements {
+        disagreements = disagreements.row([
+            Cell::text(&row.item),
+            Cell::text(&row.printed),
+            Cell::text(&row.recomputed),
+            Cell::text(&row.note),
+        ]);
+    }
+    let mut assumptions = Table::new("What the paper does not give", ["quantity", "value", "why"]);
+    for row in &outcome.assumptions {
+        assumptions = assumptions.row([Cell::text(&row.name), Cell::text(&row.value), Cell::text(&row.why)]);
+    }
+    let inputs = outcome.inputs.iter().map(|(name, hash)| format!("{name}: SHA-256 {hash}")).collect::<Vec<_>>();
+    page.section("Disagreements")
+        .table(disagreements)
+        .section("Assumptions")
+        .table(assumptions)
+        .section("Provenance")
+        .list(inputs)
+        .note("The virtual rig stands for the device. Nothing here is a medical device.")
+        .footer(format!("{}; every number is in report.json", outcome.program))
+}

@@ -1,0 +1,140 @@
+//! From a recipe to what the cycle runs: `rt` has no allocator and cannot read recipes itself.
+
+use anyhow::{Result, ensure};
+use telepulse_design::identify::InputLinearisation as DesignInput;
+use telepulse_design::implement::{self as recipe, ControllerRecipe, Law, ReferencePath};
+use telepulse_rt::{
+    AntiWindup, ComplexMode, ControlLaw, ControlLoop, ControlSettings, ErrorSign, FilterStart, InputLinearisation,
+    Limits, LowPass, ModalDeltaController, Pid, PidAntiWindup, PidGains, RealMode, SensorScale,
+};
+
+use crate::study::config::Study;
+
+/// The same choice in the words of `rt`.
+#[must_use]
+pub fn linearisation(input: DesignInput) -> InputLinearisation {
+    match input {
+        DesignInput::None => InputLinearisation::Identity,
+        DesignInput::SquareRoot => InputLinearisation::SquareRoot,
+    }
+}
+
+/// A loop of the study without filters: what is commanded is the feedforward alone, if the law is open.
+///
+/// # Errors
+/// Where the study's limits are refused.
+pub fn open_loop(
+    study: &Study,
+    sensor_scale: SensorScale,
+    linearisation: InputLinearisation,
+    law: ControlLaw,
+) -> Result<ControlLoop> {
+    Ok(ControlLoop::new(ControlSettings {
+        sample_time_s: study.sample_time_s(),
+        sensor_scale,
+        measurement_filter: None,
+        reference_filter: None,
+        filter_start: FilterStart::AtFirstSample,
+        law,
+        error_sign: ErrorSign::Positive,
+        trim: 0.0,
+        linearisation,
+        full_scale_v: study.control.max_v,
+        limits: Limits::new(study.control.min_v, study.control.max_v, f64::INFINITY)?,
+        anti_windup: AntiWindup::None,
+    })?)
+}
+
+/// The loop that a recipe describes.
+///
+/// # Errors
+/// Where the recipe was made for another sample time, or asks for more voltage than the study allows.
+pub fn from_recipe(study: &Study, recipe: &ControllerRecipe, sensor_scale: SensorScale) -> Result<ControlLoop> {
+    let settings = recipe.settings();
+    let sample_time_s = study.sample_time_s();
+    let found_s = settings.sample_time_s.seconds();
+    ensure!(
+        (found_s / sample_time_s - 1.0).abs() < 1e-9,
+        "the recipe is for a sample time of {found_s} s, allowed is the study's {sample_time_s} s"
+    );
+    let limits = settings.limits;
+    ensure!(
+        limits.max_v <= study.control.max_v && limits.min_v >= study.control.min_v,
+        "the recipe asks for {} to {} V, allowed are the study's {} to {} V",
+        limits.min_v,
+        limits.max_v,
+        study.control.min_v,
+        study.control.max_v
+    );
+    let filter = settings.measurement_filter_rad_s.map(|corner| LowPass::new(corner, sample_time_s)).transpose()?;
+    let hold = settings.anti_windup == recipe::AntiWindup::HoldOutward;
+    Ok(ControlLoop::new(ControlSettings {
+        sample_time_s,
+        sensor_scale,
+        measurement_filter: filter,
+        reference_filter: match settings.reference_path {
+            ReferencePath::Direct => None,
+            ReferencePath::Filtered => filter,
+        },
+        filter_start: FilterStart::AtFirstSample,
+        law: law(recipe.law(), settings.anti_windup, sample_time_s)?,
+        error_sign: ErrorSign::Positive,
+        trim: settings.operating_point.bias_unit,
+        linearisation: linearisation(settings.input_linearisation),
+        full_scale_v: settings.operating_point.full_scale_v,
+        limits: Limits::new(limits.min_v, limits.max_v, limits.slew_v_per_s.unwrap_or(f64::INFINITY))?,
+        anti_windup: if hold { AntiWindup::HoldOutward } else { AntiWindup::None },
+    })?)
+}
+
+fn law(law: &Law, anti_windup: recipe::AntiWindup, sample_time_s: f64) -> Result<ControlLaw> {
+    Ok(match law {
+        Law::StateSpace(modal) => {
+            let real: Vec<RealMode> =
+                modal.real.iter().map(|m| RealMode { lambda: m.lambda, b: m.b, c: m.c }).collect();
+            let complex: Vec<ComplexMode> = modal
+                .complex
+                .iter()
+                .map(|m| ComplexMode { sigma: m.sigma, omega: m.omega, b: m.b, c: m.c })
+                .collect();
+            ControlLaw::ModalDelta(ModalDeltaController::new(&real, &complex, modal.d)?)
+        }
+        Law::Pid(pid) => {
+            let gains = PidGains { p: pid.p, i_per_s: pid.i_per_s, d_s: pid.d_s, n_rad_s: pid.n_rad_s };
+            let anti_windup = match anti_windup {
+                recipe::AntiWindup::None => PidAntiWindup::None,
+                recipe::AntiWindup::HoldOutward => PidAntiWindup::Clamping,
+                recipe::AntiWindup::BackCalculation { tracking_time_s } => {
+                    PidAntiWindup::BackCalculation { tracking_time_s }
+                }
+            };
+            ControlLaw::Pid(Pid::new(gains, sample_time_s, anti_windup)?)
+        }
+    })
+}
+
+/// The feedforward command of a recipe for a whole reference in mm from rest; empty where it has none.
+#[must_use]
+pub fn feedforward(recipe: &ControllerRecipe, reference_mm: &[f64]) -> Vec<f64> {
+    let settings = recipe.settings();
+    let Some(preview) = &settings.feedforward else { return Vec::new() };
+    let point = settings.operating_point;
+    let relative: Vec<f64> = reference_mm.iter().map(|r| r - point.displacement_mm).collect();
+    let shaped = preview.apply(&relative);
+    match &settings.static_inverse {
+        None => shaped,
+        // The curve is absolute; the bias is added again in the cycle.
+        Some(inverse) => shaped.iter().map(|x| inverse.command(x + point.displacement_mm) - point.bias_unit).collect(),
+    }
+}
+
+/// By what right a recipe runs, in a line.
+#[must_use]
+pub fn provenance(recipe: &ControllerRecipe) -> String {
+    match recipe.provenance() {
+        recipe::Provenance::Certified(evidence) => {
+            format!("certified: max |Ws K S| = {:.4}", evidence.certificate.frequency_wise.value)
+        }
+        recipe::Provenance::Uncertified { reason } => format!("UNCERTIFIED: {reason}"),
+    }
+}

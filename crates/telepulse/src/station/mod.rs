@@ -1,0 +1,7 @@
+//! The stations: the rig at the doctor's side, and the two ends of the link.
+
+pub mod control;
+pub mod device;
+pub mod doctor;
+pub mod replay;
+pub mod run;

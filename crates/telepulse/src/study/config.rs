@@ -1,0 +1,387 @@
+//! `study.toml`: what was typed, and what it means once checked.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use serde::Deserialize;
+use telepulse_actuator::ParameterSet;
+use telepulse_design::implement::PidSettings;
+use telepulse_lti::TransferFunction;
+
+/// A study as typed in `study.toml`. Units are in the names; unknown keys are refused.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Study {
+    /// Version of this file format; 1.
+    pub version: u32,
+    /// Name of the study: a folder name under `out/`.
+    pub name: String,
+    /// Title of the report.
+    pub title: String,
+    /// Which device the virtual rig is.
+    pub actuator: Actuator,
+    /// How the device is identified.
+    pub identify: Identify,
+    /// Own plant in place of an identified one.
+    pub plant: Option<OwnPlant>,
+    /// Weights of the mixed-sensitivity design.
+    pub weights: Weights,
+    /// Printed systems of the paper the study is compared with.
+    pub printed: Printed,
+    /// Sampling, filter and limits.
+    pub control: Control,
+    /// The multi-sine reference.
+    pub reference: Reference,
+    /// Disturbance and sensing noise.
+    pub conditions: Conditions,
+    /// PID settings.
+    pub pid: PidPair,
+    /// The pulse to replay.
+    pub pulse: Pulse,
+    /// Folder of `study.toml`; paths in it are relative to this.
+    #[serde(skip)]
+    pub folder: PathBuf,
+    /// The file itself.
+    #[serde(skip)]
+    pub file: PathBuf,
+}
+
+/// `[actuator]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Actuator {
+    /// `A`, `B` or `C`.
+    pub parameter_set: ParameterSet,
+    /// Seed of the sensor noise.
+    pub seed: u64,
+}
+
+/// `[identify]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Identify {
+    /// Bias of the drive, fraction of full scale.
+    pub bias: f64,
+    /// Amplitudes of the sine, fractions of full scale.
+    pub amplitudes: Vec<f64>,
+    /// Lowest frequency.
+    pub frequency_min_hz: f64,
+    /// Highest frequency.
+    pub frequency_max_hz: f64,
+    /// Number of frequencies, log-spaced.
+    pub n_frequencies: usize,
+    /// Time constant of the circuit: seconds, or `"free"`.
+    pub rc_s: RcTime,
+    /// Own sweep in place of one on the virtual rig.
+    pub sweep_csv: Option<PathBuf>,
+}
+
+/// A time constant that is known, or left to the fit.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum RcTime {
+    /// Known, in seconds.
+    Known(f64),
+    /// The word `free`.
+    Free(FreeWord),
+}
+
+/// The word `free`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FreeWord {
+    /// Left to the fit.
+    Free,
+}
+
+/// A transfer function as typed: coefficients in descending powers of s.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Polynomials {
+    /// Numerator coefficients.
+    pub numerator: Vec<f64>,
+    /// Denominator coefficients.
+    pub denominator: Vec<f64>,
+}
+
+/// `[plant]`: mm per unit of full scale, with the bound of its additive uncertainty.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnPlant {
+    /// Nominal plant.
+    pub nominal: Polynomials,
+    /// Bound of the additive uncertainty.
+    pub uncertainty: Polynomials,
+}
+
+/// `[weights]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Weights {
+    /// Weight of the control input, `W_u`.
+    pub control: Polynomials,
+    /// Weight of the tracking error, `W_e`.
+    pub error: Polynomials,
+}
+
+/// `[printed]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Printed {
+    /// Eq. (16).
+    pub plant: Polynomials,
+    /// Eq. (17).
+    pub uncertainty: Polynomials,
+    /// Eq. (21).
+    pub controller: Polynomials,
+}
+
+/// `[control]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Control {
+    /// Ticks per second.
+    pub sample_rate_hz: f64,
+    /// Corner of the measurement filter, Eq. (26).
+    pub filter_hz: f64,
+    /// Lowest voltage.
+    pub min_v: f64,
+    /// Highest voltage; also the full scale.
+    pub max_v: f64,
+}
+
+/// `[reference]`: offset plus sines, Eq. (25).
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Offset from the rest position.
+    pub offset_mm: f64,
+    /// The sines.
+    pub sines: Vec<Sine>,
+    /// Time before the measured window.
+    pub settle_s: f64,
+    /// Length of the measured window.
+    pub window_s: f64,
+}
+
+/// One sine of the reference: `amplitude_mm * sin(2 pi frequency_hz t + phase_rad)`.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sine {
+    /// Amplitude.
+    pub amplitude_mm: f64,
+    /// Frequency.
+    pub frequency_hz: f64,
+    /// Phase at t = 0.
+    pub phase_rad: f64,
+}
+
+/// `[conditions]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Conditions {
+    /// Force step on the plate, positive downwards.
+    pub disturbance_n: f64,
+    /// When the force steps in.
+    pub disturbance_start_s: f64,
+    /// Amplitude of the sine on the sensor.
+    pub noise_mm: f64,
+    /// Its frequency.
+    pub noise_hz: f64,
+}
+
+/// `[pid]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PidPair {
+    /// Tuned by a tool.
+    pub auto: Pid,
+    /// Tuned by hand.
+    pub manual: Pid,
+}
+
+/// Parallel PID with a filtered derivative: `p + i/s + d n s/(s + n)`, units per mm.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pid {
+    /// Proportional gain.
+    pub p: f64,
+    /// Integral gain, per second.
+    pub i: f64,
+    /// Derivative gain, seconds.
+    pub d: f64,
+    /// Corner of the derivative filter.
+    pub n_rad_s: f64,
+}
+
+/// `[pulse]`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pulse {
+    /// The recording, a CSV with `time_s,value,unit`.
+    pub recording: PathBuf,
+    /// The recording is scaled to this.
+    pub peak_to_peak_pa: f64,
+    /// Pressure that makes 1 mm.
+    pub pa_per_mm: f64,
+    /// Radius of the plate that turns pressure into force.
+    pub plate_radius_mm: f64,
+    /// How long the doctor's side holds the pulse back.
+    pub playout_delay_s: f64,
+}
+
+impl Polynomials {
+    /// The transfer function they describe.
+    ///
+    /// # Errors
+    /// Names `key` where the coefficients do not make a proper transfer function.
+    pub fn to_transfer_function(&self, key: &str) -> Result<TransferFunction> {
+        TransferFunction::new(&self.numerator, &self.denominator).with_context(|| format!("key `{key}`"))
+    }
+}
+
+impl Pid {
+    /// The same settings, as the design knows them.
+    #[must_use]
+    pub fn settings(&self) -> PidSettings {
+        PidSettings { p: self.p, i_per_s: self.i, d_s: self.d, n_rad_s: self.n_rad_s }
+    }
+}
+
+impl Reference {
+    /// The reference at `t_s` seconds, in mm from the rest position. Eq. (25).
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> f64 {
+        self.offset_mm
+            + self
+                .sines
+                .iter()
+                .map(|s| s.amplitude_mm * (std::f64::consts::TAU * s.frequency_hz * t_s + s.phase_rad).sin())
+                .sum::<f64>()
+    }
+}
+
+impl Study {
+    /// Reads and checks `folder/study.toml` (or the file itself).
+    ///
+    /// # Errors
+    /// Names the file, and the key or line, what was found and what is allowed.
+    pub fn load(path: &Path) -> Result<Self> {
+        let file = if path.is_dir() { path.join("study.toml") } else { path.to_path_buf() };
+        let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let mut study: Self = toml::from_str(&text).with_context(|| format!("in {}", file.display()))?;
+        study.folder = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+        study.check().with_context(|| format!("in {}", file.display()))?;
+        study.file = file;
+        Ok(study)
+    }
+
+    /// A path of the study, relative to its folder.
+    #[must_use]
+    pub fn path(&self, relative: &Path) -> PathBuf {
+        self.folder.join(relative)
+    }
+
+    /// The time between two ticks.
+    #[must_use]
+    pub fn sample_time_s(&self) -> f64 {
+        1.0 / self.control.sample_rate_hz
+    }
+
+    fn check(&self) -> Result<()> {
+        ensure!(self.version == 1, "key `version`: found {}, allowed 1", self.version);
+        let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        ensure!(
+            !self.name.is_empty() && !self.name.starts_with('.') && self.name.chars().all(plain),
+            "key `name`: found {:?}, allowed letters, digits, '-', '_' and '.', not starting with '.'",
+            self.name
+        );
+        within("identify.bias", self.identify.bias, 0.01, 0.99)?;
+        ensure!(!self.identify.amplitudes.is_empty(), "key `identify.amplitudes`: found none, allowed one or more");
+        for &amplitude in &self.identify.amplitudes {
+            let room = self.identify.bias.min(1.0 - self.identify.bias);
+            within("identify.amplitudes", amplitude, 1e-3, room)?;
+        }
+        within("identify.frequency_min_hz", self.identify.frequency_min_hz, 1e-3, 1e3)?;
+        within("identify.frequency_max_hz", self.identify.frequency_max_hz, 1e-3, 1e3)?;
+        ensure!(
+            self.identify.frequency_min_hz < self.identify.frequency_max_hz,
+            "key `identify.frequency_max_hz`: found {}, allowed above frequency_min_hz = {}",
+            self.identify.frequency_max_hz,
+            self.identify.frequency_min_hz
+        );
+        within("identify.n_frequencies", self.identify.n_frequencies as f64, 6.0, 1000.0)?;
+        if let RcTime::Known(rc_s) = self.identify.rc_s {
+            within("identify.rc_s", rc_s, 1e-6, 10.0)?;
+        }
+        self.check_systems()?;
+        within("control.sample_rate_hz", self.control.sample_rate_hz, 200.0, 20_000.0)?;
+        within("control.filter_hz", self.control.filter_hz, 0.1, self.control.sample_rate_hz / 4.0)?;
+        within("control.min_v", self.control.min_v, 0.0, 5000.0)?;
+        within("control.max_v", self.control.max_v, 1.0, 5000.0)?;
+        ensure!(
+            self.control.min_v < self.control.max_v,
+            "key `control.max_v`: found {} V, allowed above min_v = {} V",
+            self.control.max_v,
+            self.control.min_v
+        );
+        self.check_signals()
+    }
+
+    fn check_systems(&self) -> Result<()> {
+        for (key, typed) in [
+            ("weights.control", &self.weights.control),
+            ("weights.error", &self.weights.error),
+            ("printed.plant", &self.printed.plant),
+            ("printed.uncertainty", &self.printed.uncertainty),
+            ("printed.controller", &self.printed.controller),
+        ] {
+            let system = typed.to_transfer_function(key)?;
+            ensure!(
+                system.is_stable()?,
+                "key `{key}`: found a pole on or right of the imaginary axis, allowed stable systems"
+            );
+        }
+        if let Some(own) = &self.plant {
+            own.nominal.to_transfer_function("plant.nominal")?;
+            let bound = own.uncertainty.to_transfer_function("plant.uncertainty")?;
+            ensure!(bound.is_stable()?, "key `plant.uncertainty`: found an unstable pole, allowed stable systems");
+        }
+        Ok(())
+    }
+
+    fn check_signals(&self) -> Result<()> {
+        let reference = &self.reference;
+        within("reference.offset_mm", reference.offset_mm, 0.0, 10.0)?;
+        ensure!(!reference.sines.is_empty(), "key `reference.sines`: found none, allowed one or more");
+        for sine in &reference.sines {
+            within("reference.sines.amplitude_mm", sine.amplitude_mm, 0.0, 10.0)?;
+            within("reference.sines.frequency_hz", sine.frequency_hz, 1e-4, 100.0)?;
+            within("reference.sines.phase_rad", sine.phase_rad, -100.0, 100.0)?;
+        }
+        within("reference.settle_s", reference.settle_s, 0.0, 1000.0)?;
+        within("reference.window_s", reference.window_s, 0.1, 1000.0)?;
+        within("conditions.disturbance_n", self.conditions.disturbance_n, -1.0, 1.0)?;
+        within("conditions.disturbance_start_s", self.conditions.disturbance_start_s, 0.0, 2000.0)?;
+        within("conditions.noise_mm", self.conditions.noise_mm, 0.0, 1.0)?;
+        within("conditions.noise_hz", self.conditions.noise_hz, 0.0, self.control.sample_rate_hz / 2.0)?;
+        for (key, pid) in [("pid.auto", self.pid.auto), ("pid.manual", self.pid.manual)] {
+            for (name, value) in [("p", pid.p), ("i", pid.i), ("d", pid.d)] {
+                within(&format!("{key}.{name}"), value, 0.0, 1e6)?;
+            }
+            within(&format!("{key}.n_rad_s"), pid.n_rad_s, 1.0, 1e6)?;
+        }
+        within("pulse.peak_to_peak_pa", self.pulse.peak_to_peak_pa, 1.0, 1e5)?;
+        within("pulse.pa_per_mm", self.pulse.pa_per_mm, 1.0, 1e6)?;
+        within("pulse.plate_radius_mm", self.pulse.plate_radius_mm, 0.1, 100.0)?;
+        within("pulse.playout_delay_s", self.pulse.playout_delay_s, 0.0, 10.0)
+    }
+}
+
+/// Refuses a value that is no number or lies outside of its range.
+fn within(key: &str, value: f64, min: f64, max: f64) -> Result<()> {
+    if !(value >= min && value <= max) {
+        bail!("key `{key}`: found {value}, allowed {min} to {max}");
+    }
+    Ok(())
+}

@@ -1,0 +1,194 @@
+//! Drives a rig through a sweep and hands the record to identification.
+
+use anyhow::{Result, bail};
+use telepulse_design::identify::{
+    BoundShape, CoverOptions, FitOptions, InputLinearisation, ModelProvenance, PlantModel, RcPole, Residual, SweepOptions, SweepPlan, SweepRecord,
+    ThirdOrderFit, UncertaintyBound, Weighting, cap_additive_error, fit_third_order, log_spaced,
+};
+use telepulse_lti::TransferFunction;
+use telepulse_rt::{ControlLaw, CycleInputs, Drive, Sensor, SensorScale};
+
+use super::config::{RcTime, Study};
+use super::outcome::Identified;
+use crate::station::control::{linearisation, open_loop};
+use crate::station::run::{ErrorWatch, tick_through};
+
+/// A measured plant: the sweep, what was fitted to it and what bounds the rest.
+#[derive(Debug, Clone)]
+pub struct Identification {
+    /// The points.
+    pub record: SweepRecord,
+    /// Complex least squares.
+    pub fit: ThirdOrderFit,
+    /// The bound of what the fit leaves.
+    pub bound: UncertaintyBound,
+    /// By magnitudes only, as the paper did.
+    pub magnitude_fit: ThirdOrderFit,
+}
+
+/// The sweep that the study asks for.
+///
+/// # Errors
+/// Where a frequency or amplitude cannot be placed.
+pub fn sweep_plan(study: &Study) -> Result<SweepPlan> {
+    let identify = &study.identify;
+    Ok(SweepPlan::new(&SweepOptions {
+        frequencies_hz: log_spaced(identify.frequency_min_hz, identify.frequency_max_hz, identify.n_frequencies),
+        amplitudes: identify.amplitudes.clone(),
+        bias: identify.bias,
+        sample_rate_hz: study.control.sample_rate_hz,
+        ..SweepOptions::default()
+    })?)
+}
+
+/// Runs the sweep on a rig, through the same cycle as every other run, without feedback.
+///
+/// The command is the voltage or, with the square root, its square; `scale` makes the response from the sensor's reading.
+///
+/// # Errors
+/// Where the rig trips, or a window holds no usable line.
+pub fn sweep<R: Sensor + Drive>(
+    rig: &mut R,
+    study: &Study,
+    scale: SensorScale,
+    input: InputLinearisation,
+) -> Result<SweepRecord> {
+    let plan = sweep_plan(study)?;
+    let mut control = open_loop(study, scale, linearisation(input), ControlLaw::OpenLoop)?;
+    let full_scale_v = study.control.max_v;
+    let mut windows = Windows::new(&plan);
+    let inputs = plan.drive().map(|feedforward| CycleInputs { reference: 0.0, feedforward });
+    let trip = tick_through(rig, &mut control, inputs, ErrorWatch::OFF, |tick_idx, output, _| {
+        windows.take(tick_idx, input.command(output.voltage_v / full_scale_v), output.measured);
+    })?;
+    if let Some(reason) = trip {
+        bail!("the sweep was ended: {reason}");
+    }
+    let points = windows.finished?;
+    // The controller is designed for the continuous plant; the hold belongs to the sampled implementation.
+    Ok(SweepRecord::new(points, Some(study.identify.bias))?.without_hold(study.control.sample_rate_hz)?)
+}
+
+/// Keeps the measured window of one sine at a time: a whole sweep would be hundreds of megabytes.
+struct Windows<'a> {
+    plan: &'a SweepPlan,
+    segment_idx: usize,
+    drive: Vec<f64>,
+    response: Vec<f64>,
+    finished: telepulse_design::Result<Vec<telepulse_design::identify::SweepPoint>>,
+}
+
+impl<'a> Windows<'a> {
+    fn new(plan: &'a SweepPlan) -> Self {
+        Self { plan, segment_idx: 0, drive: Vec::new(), response: Vec::new(), finished: Ok(Vec::new()) }
+    }
+
+    fn take(&mut self, tick_idx: usize, drive: f64, response: f64) {
+        let Some(segment) = self.plan.segments().get(self.segment_idx) else { return };
+        let range = self.plan.measured_range(self.segment_idx);
+        if !range.contains(&tick_idx) {
+            return;
+        }
+        self.drive.push(drive);
+        self.response.push(response);
+        if tick_idx + 1 == range.end {
+            match (segment.point(&self.drive, &self.response), &mut self.finished) {
+                (Ok(point), Ok(points)) => points.push(point),
+                (Err(error), Ok(_)) => self.finished = Err(error),
+                (_, Err(_)) => {}
+            }
+            self.drive.clear();
+            self.response.clear();
+            self.segment_idx += 1;
+        }
+    }
+}
+
+/// How far above the largest error the bound lies: room for what lies between the points.
+const BOUND_MARGIN: f64 = 1.05;
+
+/// Fits a third-order model to a sweep and bounds its error.
+///
+/// # Errors
+/// Where the sweep does not determine a model, or no bound of second order exists.
+pub fn identify(record: SweepRecord, rc: RcTime) -> Result<Identification> {
+    let rc = match rc {
+        RcTime::Known(rc_s) => RcPole::Known(rc_s),
+        RcTime::Free(_) => RcPole::Free,
+    };
+    let options =
+        FitOptions { rc, residual: Residual::Complex, weighting: Weighting::Relative, ..FitOptions::default() };
+    let fit = fit_third_order(&record, &options)?;
+    let magnitude_fit = fit_third_order(&record, &FitOptions { residual: Residual::MagnitudeOnly, ..options })?;
+    let bound = bound(&record, &fit.transfer_function)?;
+    Ok(Identification { record, fit, bound, magnitude_fit })
+}
+
+/// Bounds the additive error of a model over a sweep by a weight of second order, as (17).
+///
+/// # Errors
+/// Where no such bound exists.
+pub fn bound(record: &SweepRecord, model: &TransferFunction) -> Result<UncertaintyBound> {
+    let options = CoverOptions { shape: BoundShape::ConstantNumerator, margin: BOUND_MARGIN, ..CoverOptions::default() };
+    Ok(cap_additive_error(record, model, &options)?)
+}
+
+impl Identification {
+    /// The numbers of the complex fit and its bound.
+    #[must_use]
+    pub fn summary(&self) -> Identified {
+        summarise(&self.fit, &self.bound, self.fit.rms_complex_mm_per_unit)
+    }
+
+    /// The numbers of the magnitude-only fit, with a bound of its own.
+    ///
+    /// # Errors
+    /// Where no bound of second order exists.
+    pub fn magnitude_only_summary(&self) -> Result<Identified> {
+        let bound = bound(&self.record, &self.magnitude_fit.transfer_function)?;
+        Ok(summarise(&self.magnitude_fit, &bound, self.magnitude_fit.rms_complex_mm_per_unit))
+    }
+}
+
+fn summarise(fit: &ThirdOrderFit, bound: &UncertaintyBound, residual_rms: f64) -> Identified {
+    Identified {
+        dc_gain_mm_per_unit: fit.dc_gain_mm_per_unit,
+        omega_n_rad_s: fit.omega_n_rad_s,
+        zeta: fit.zeta,
+        rc_s: fit.rc_s,
+        residual_rms,
+        bound_violations: bound.violations,
+        bound_points: bound.points.len(),
+        bound_numerator: bound.weight.numerator().to_vec(),
+        bound_denominator: bound.weight.denominator().to_vec(),
+        numerator: fit.transfer_function.numerator().to_vec(),
+        denominator: fit.transfer_function.denominator().to_vec(),
+    }
+}
+
+/// The model as a file for later stages.
+///
+/// # Errors
+/// Where the study's bias or full scale is out of range.
+pub fn plant_model(
+    study: &Study,
+    found: &Identification,
+    input: InputLinearisation,
+    record: &str,
+) -> Result<PlantModel> {
+    Ok(PlantModel {
+        version: PlantModel::VERSION,
+        nominal: found.fit.transfer_function.clone(),
+        uncertainty: Some(found.bound.weight.clone()),
+        input_linearisation: input,
+        bias_unit: study.identify.bias,
+        bias_displacement_mm: None,
+        full_scale_v: study.control.max_v,
+        provenance: ModelProvenance::Identified {
+            record: record.to_owned(),
+            n_points: found.record.points().len(),
+            rms_residual_mm_per_unit: found.fit.rms_complex_mm_per_unit,
+        },
+    }
+    .checked()?)
+}

@@ -1,0 +1,14 @@
+//! A study: everything from the device to the report, as `study.toml` says.
+
+pub mod config;
+pub mod controllers;
+pub mod disagreements;
+pub mod identify;
+pub mod judge;
+pub mod models;
+pub mod outcome;
+pub mod recipes;
+pub mod run;
+pub mod trace;
+pub mod tracking;
+pub mod transmission;

@@ -1,0 +1,149 @@
+//! The models a study identifies, each from a sweep of its own.
+
+use anyhow::{Context, Result};
+use rayon::prelude::*;
+use telepulse_actuator::twin::TwinModel;
+use telepulse_design::identify::{
+    InputLinearisation, ModelProvenance, PlantModel, SweepRecord, UncertaintyBound, fit_first_order,
+};
+use telepulse_lti::TransferFunction;
+
+use super::config::{RcTime, Study};
+use super::identify::{Identification, bound, identify, plant_model, sweep};
+use crate::artefact;
+use crate::station::device::{self, Conditions};
+
+/// Sweeps of a study: voltage and its square, in displacement and in force mode.
+pub const N_SWEEPS: u64 = 4;
+
+/// Everything that identification knows about the device.
+#[derive(Debug, Clone)]
+pub struct Models {
+    /// Displacement from voltage, as in the paper.
+    pub voltage: Identification,
+    /// Displacement from the square of the voltage.
+    pub square_root: Identification,
+    /// Relief of the load cell from voltage.
+    pub force_voltage: HeldModel,
+    /// Relief of the load cell from the square of the voltage.
+    pub force_square_root: HeldModel,
+}
+
+/// A first-order model of the held plate, in mm-equivalents per unit.
+#[derive(Debug, Clone)]
+pub struct HeldModel {
+    /// The points.
+    pub record: SweepRecord,
+    /// What was fitted.
+    pub plant: TransferFunction,
+    /// The bound of what the fit leaves.
+    pub bound: UncertaintyBound,
+    rms_residual: f64,
+}
+
+/// Sweeps the rigs and fits the models, on both cores; `done` is called after each sweep.
+///
+/// With an own sweep (`identify.sweep_csv`) the voltage model comes from that.
+///
+/// # Errors
+/// Where a rig trips or a sweep does not determine its model.
+pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Result<Models> {
+    let inputs = [InputLinearisation::None, InputLinearisation::SquareRoot];
+    let jobs = [(false, inputs[0]), (false, inputs[1]), (true, inputs[0]), (true, inputs[1])];
+    let records = jobs
+        .par_iter()
+        .map(|(held, input)| {
+            let record = record(study, twin, *held, *input);
+            done();
+            record
+        })
+        .collect::<Result<Vec<SweepRecord>>>()?;
+    let [voltage, square_root, force_voltage, force_square_root] =
+        <[SweepRecord; 4]>::try_from(records).unwrap_or_else(|_| unreachable!("four jobs give four records"));
+    // The circuit is the same in all four; where it is left to the fit, the displacement sweep determines it.
+    let voltage = identify(voltage, study.identify.rc_s).context("the displacement sweep")?;
+    let rc = RcTime::Known(voltage.fit.rc_s);
+    Ok(Models {
+        square_root: identify(square_root, rc).context("the displacement sweep with the square of the voltage")?,
+        force_voltage: HeldModel::fit(force_voltage, voltage.fit.rc_s).context("the force sweep")?,
+        force_square_root: HeldModel::fit(force_square_root, voltage.fit.rc_s)
+            .context("the force sweep with the square of the voltage")?,
+        voltage,
+    })
+}
+
+fn record(study: &Study, twin: &TwinModel, held: bool, input: InputLinearisation) -> Result<SweepRecord> {
+    if held {
+        let mut rig = device::force(study, twin)?;
+        let scale = device::force_scale(study, &rig)?;
+        return sweep(&mut rig, study, scale, input);
+    }
+    if let (Some(own), InputLinearisation::None) = (&study.identify.sweep_csv, input) {
+        let path = study.path(own);
+        return SweepRecord::from_csv(&artefact::read_text(&path)?)
+            .with_context(|| format!("in {}", path.display()));
+    }
+    let mut rig = device::displacement(study, twin, Conditions::default())?;
+    sweep(&mut rig, study, device::displacement_scale(), input)
+}
+
+impl HeldModel {
+    fn fit(record: SweepRecord, rc_s: f64) -> Result<Self> {
+        let fit = fit_first_order(&record, rc_s)?;
+        let bound = bound(&record, &fit.transfer_function)?;
+        Ok(Self { record, plant: fit.transfer_function, bound, rms_residual: fit.rms_residual })
+    }
+
+    fn plant_model(&self, study: &Study, input: InputLinearisation, record: &str) -> Result<PlantModel> {
+        Ok(PlantModel {
+            version: PlantModel::VERSION,
+            nominal: self.plant.clone(),
+            uncertainty: Some(self.bound.weight.clone()),
+            input_linearisation: input,
+            bias_unit: study.identify.bias,
+            bias_displacement_mm: None,
+            full_scale_v: study.control.max_v,
+            provenance: ModelProvenance::Identified {
+                record: record.to_owned(),
+                n_points: self.record.points().len(),
+                rms_residual_mm_per_unit: self.rms_residual,
+            },
+        }
+        .checked()?)
+    }
+}
+
+impl Models {
+    /// The sweeps with their file names.
+    #[must_use]
+    pub fn sweeps(&self) -> [(&'static str, &SweepRecord); 4] {
+        [
+            ("identify/sweep.csv", &self.voltage.record),
+            ("identify/sweep_square_root.csv", &self.square_root.record),
+            ("identify/sweep_force.csv", &self.force_voltage.record),
+            ("identify/sweep_force_square_root.csv", &self.force_square_root.record),
+        ]
+    }
+
+    /// The models for later stages: voltage and its square in displacement mode, then both in force mode.
+    ///
+    /// # Errors
+    /// Where a model is out of its range.
+    pub fn plants(&self, study: &Study) -> Result<[PlantModel; 4]> {
+        let (plain, root) = (InputLinearisation::None, InputLinearisation::SquareRoot);
+        Ok([
+            plant_model(study, &self.voltage, plain, "sweep.csv")?,
+            plant_model(study, &self.square_root, root, "sweep_square_root.csv")?,
+            self.force_voltage.plant_model(study, plain, "sweep_force.csv")?,
+            self.force_square_root.plant_model(study, root, "sweep_force_square_root.csv")?,
+        ])
+    }
+}
+
+/// Files of the models of [`Models::plants`], in that order.
+pub const MODEL_FILES: [&str; 4] = [
+    "identify/model.json",
+    "identify/model_square_root.json",
+    "identify/model_force.json",
+    "identify/model_force_square_root.json",
+];

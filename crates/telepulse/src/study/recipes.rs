@@ -1,0 +1,187 @@
+//! The controllers that a study compares, ready to run.
+
+use std::collections::BTreeMap;
+
+use anyhow::{Context, Result, ensure};
+use telepulse_design::identify::PlantModel;
+use telepulse_design::implement::{
+    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Law, OperatingPoint, PreviewOptions, RecipeSettings,
+    ReferencePath, preview_feedforward, realize_continuous,
+};
+use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
+
+use super::config::Study;
+use super::controllers::{Certified, Design, certify, measurement_filter, synthesize};
+use super::models::Models;
+use crate::station::replay::Mode;
+
+/// Every recipe of a study, with the evidence behind it.
+#[derive(Debug, Clone)]
+pub struct Recipes {
+    /// For the weight and the laser: `printed_k`, `hinf`, `best`, `pid_auto`, `pid_manual`.
+    pub displacement: Vec<(String, ControllerRecipe)>,
+    /// For the load cell: `printed_k`, `hinf`, `best`.
+    pub force: Vec<(String, ControllerRecipe)>,
+    /// Certificates in displacement mode by controller, in force mode by controller with `_force` behind it.
+    pub certificates: BTreeMap<String, Certified>,
+    /// Our S/KS design on the identified plant.
+    pub hinf: Design,
+    /// The feedback of our best controller.
+    pub best: Design,
+    /// The loops that figure 12 shows.
+    pub loops: Vec<Loop>,
+}
+
+/// A feedback loop on its own model.
+#[derive(Debug, Clone)]
+pub struct Loop {
+    /// Name of the controller.
+    pub controller_name: String,
+    /// Its model.
+    pub plant: TransferFunction,
+    /// The controller.
+    pub controller: StateSpace<Continuous>,
+    /// The filter in the measurement.
+    pub filter: TransferFunction,
+}
+
+/// Designs, certifies and realises every controller of the study.
+///
+/// # Errors
+/// Where a synthesis finds no controller or a controller cannot be realised.
+pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
+    let filter = measurement_filter(study)?;
+    let printed = study.printed.controller.to_transfer_function("printed.controller")?.to_state_space();
+    let [displacement, squared, held, held_squared] = models.plants(study)?;
+
+    let hinf = synthesize(study, &displacement.nominal)?;
+    let best = best_feedback(study, &squared.nominal)?;
+    let hinf_force = synthesize(study, &held.nominal).context("in force mode")?;
+    let best_force = best_feedback(study, &held_squared.nominal).context("in force mode")?;
+
+    let mut out = Collected::default();
+    for (name, controller, model, mode) in [
+        ("printed_k", &printed, &displacement, Mode::Displacement),
+        ("hinf", &hinf.controller, &displacement, Mode::Displacement),
+        ("printed_k", &printed, &held, Mode::Force),
+        ("hinf", &hinf_force.controller, &held, Mode::Force),
+    ] {
+        let certified = certify(study, model, controller)?;
+        let recipe = linear_recipe(model, controller, settings(study, model)?, &certified)?;
+        out.add(name, mode, recipe, certified);
+    }
+    for (controller, model, mode) in
+        [(&best.controller, &squared, Mode::Displacement), (&best_force.controller, &held_squared, Mode::Force)]
+    {
+        let certified = certify(study, model, controller)?;
+        let recipe = linear_recipe(model, controller, preview_settings(study, model)?, &certified)?;
+        out.add("best", mode, recipe, certified);
+    }
+    for (name, typed) in [("pid_auto", &study.pid.auto), ("pid_manual", &study.pid.manual)] {
+        let controller = typed.settings().transfer_function()?.to_state_space();
+        let certified = certify(study, &displacement, &controller)?;
+        let reason = certified.objection().unwrap_or_else(|| "a PID law is not realised from its certificate".into());
+        let recipe =
+            ControllerRecipe::uncertified(&reason, Law::Pid(typed.settings()), settings(study, &displacement)?)?;
+        out.add(name, Mode::Displacement, recipe, certified);
+    }
+    let shown = |name: &str, model: &PlantModel, controller: &StateSpace<Continuous>| Loop {
+        controller_name: name.to_owned(),
+        plant: model.nominal.clone(),
+        controller: controller.clone(),
+        filter: filter.clone(),
+    };
+    let loops = vec![
+        shown("printed_k", &displacement, &printed),
+        shown("hinf", &displacement, &hinf.controller),
+        shown("best", &squared, &best.controller),
+    ];
+    let Collected { displacement, force, certificates } = out;
+    Ok(Recipes { displacement, force, certificates, hinf, best, loops })
+}
+
+#[derive(Default)]
+struct Collected {
+    displacement: Vec<(String, ControllerRecipe)>,
+    force: Vec<(String, ControllerRecipe)>,
+    certificates: BTreeMap<String, Certified>,
+}
+
+impl Collected {
+    fn add(&mut self, name: &str, mode: Mode, recipe: ControllerRecipe, certified: Certified) {
+        let (list, key) = match mode {
+            Mode::Displacement => (&mut self.displacement, name.to_owned()),
+            Mode::Force => (&mut self.force, format!("{name}_force")),
+        };
+        list.push((name.to_owned(), recipe));
+        self.certificates.insert(key, certified);
+    }
+}
+
+/// The feedback of the best controller: S/KS with the filter (26) as part of the plant, so that the loop is designed as it runs.
+fn best_feedback(study: &Study, plant: &TransferFunction) -> Result<Design> {
+    synthesize(study, &plant.multiply(&measurement_filter(study)?)?)
+}
+
+/// A linear controller as feedback alone, with the filter (26), as the paper runs it: certified where its certificate holds.
+///
+/// # Errors
+/// Where the controller cannot be realised at the study's sample rate.
+pub fn feedback_recipe(
+    study: &Study,
+    model: &PlantModel,
+    controller: &StateSpace<Continuous>,
+    certified: &Certified,
+) -> Result<ControllerRecipe> {
+    linear_recipe(model, controller, settings(study, model)?, certified)
+}
+
+fn linear_recipe(
+    model: &PlantModel,
+    controller: &StateSpace<Continuous>,
+    settings: RecipeSettings,
+    certified: &Certified,
+) -> Result<ControllerRecipe> {
+    let Some(reason) = certified.objection() else {
+        return Ok(ControllerRecipe::certified(model, controller, Discretization::Tustin, settings)?);
+    };
+    let realisation = realize_continuous(controller, settings.sample_time_s, Discretization::Tustin)
+        .context("the controller cannot be realised at the study's sample rate")?;
+    Ok(ControllerRecipe::uncertified(&reason, Law::StateSpace(realisation.law), settings)?)
+}
+
+/// With the square root at the amplifier, the reference filtered as the measurement is, and preview.
+fn preview_settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
+    let sample_time = SampleTime::new(study.sample_time_s())?;
+    let preview = preview_feedforward(&model.nominal, sample_time, &PreviewOptions::default())?;
+    ensure!(
+        preview.horizon_s <= study.pulse.playout_delay_s,
+        "key `pulse.playout_delay_s`: found {} s, allowed from {} s, which the preview filter reads ahead",
+        study.pulse.playout_delay_s,
+        preview.horizon_s
+    );
+    Ok(RecipeSettings {
+        reference_path: ReferencePath::Filtered,
+        feedforward: Some(preview),
+        ..settings(study, model)?
+    })
+}
+
+fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
+    Ok(RecipeSettings {
+        sample_time_s: SampleTime::new(study.sample_time_s())?,
+        input_linearisation: model.input_linearisation,
+        measurement_filter_rad_s: Some(std::f64::consts::TAU * study.control.filter_hz),
+        reference_path: ReferencePath::Direct,
+        feedforward: None,
+        static_inverse: None,
+        limits: DriveLimits { min_v: study.control.min_v, max_v: study.control.max_v, slew_v_per_s: None },
+        anti_windup: AntiWindup::HoldOutward,
+        // Every run starts from rest, so commands and displacements count from there.
+        operating_point: OperatingPoint {
+            bias_unit: 0.0,
+            displacement_mm: 0.0,
+            full_scale_v: model.full_scale_v,
+        },
+    })
+}

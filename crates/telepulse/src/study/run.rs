@@ -1,0 +1,481 @@
+//! Runs a study from the device to the report.
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use telepulse_actuator::ParameterSet;
+use telepulse_actuator::rig::rig_assumptions;
+use telepulse_design::identify::{InputLinearisation, ModelProvenance, PlantModel};
+use telepulse_lti::{StateSpace, TransferFunction};
+use telepulse_pulse::spectrum::{Spectrum as LineSpectrum, Window};
+
+use super::config::Study;
+use super::controllers::{Certified, Design, certify, synthesize};
+use super::disagreements::{self, Recomputed};
+use super::models::{self, Models};
+use super::outcome::{Assumption, Outcome, Printed, Spectrum, StepOutcome};
+use super::recipes::{self, Recipes};
+use super::tracking::{self, CONDITIONS, Step, Tracked};
+use super::transmission::{self, Transmitted};
+use crate::artefact::{self, StagedFolder};
+use crate::figure::Figure;
+use crate::report::{self, figures};
+use crate::station::device;
+use crate::station::replay::Mode;
+use crate::{VERSION, recording};
+
+/// A study that has run, with its files in place.
+#[derive(Debug)]
+pub struct Finished {
+    /// Every number.
+    pub outcome: Outcome,
+    /// The results folder.
+    pub folder: PathBuf,
+}
+
+/// Runs the study and puts its results into `folder`, all of them or none.
+///
+/// # Errors
+/// Where a stage cannot run; then `folder` is as it was.
+pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
+    // A study that cannot be transmitted is refused before hours of a real rig are spent on it.
+    recording::read(&study.path(&study.pulse.recording))?;
+    let staged = StagedFolder::beside(folder)?;
+    let bar = progress_bar();
+    bar.set_message("membrane and twin");
+    let twin = device::twin(study)?;
+    bar.inc(1);
+
+    bar.set_message("sweeps");
+    let models = models::measure(study, &twin, &|| bar.inc(1))?;
+    bar.set_message("synthesis and certificates");
+    let recipes = recipes::build(study, &models)?;
+    write_inputs_of_later_stages(study, staged.path(), &models, &recipes)?;
+    bar.inc(1);
+
+    bar.set_message("transmission, replay and tracking");
+    let program = std::env::current_exe().context("this program's own file is not known")?;
+    let link = transmission::start(study, &program, &staged.path().join("recipes"), &staged.path().join("doctor"))?;
+    let tracked = tracking::track_all(study, &twin, &recipes.displacement, &|| bar.inc(1))?;
+    let steps = [
+        ("twin A, fitted to (16)", tracking::step(study, ParameterSet::A)?),
+        ("twin B, fitted to figure 9", tracking::step(study, ParameterSet::B)?),
+    ];
+    let transmitted = link.finish()?;
+    bar.inc(1);
+
+    bar.set_message("report");
+    let (outcome, drawings) = assemble(study, &models, &recipes, &tracked, &steps, &transmitted)?;
+    report::write_data(staged.path(), &outcome, &drawings)?;
+    report::write(staged.path(), &outcome, &drawings)?;
+    let folder = staged.commit()?;
+    bar.finish_and_clear();
+    Ok(Finished { outcome, folder })
+}
+
+/// Steps of the progress bar: twin, sweeps, design, twenty tracking runs, link.
+const N_STEPS: u64 = 1 + models::N_SWEEPS + 1 + 20 + 1;
+
+fn progress_bar() -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:32} {pos:>2}/{len} {msg} [{elapsed}]")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(N_STEPS).with_style(style)
+}
+
+/// Models, sweeps and recipes as files: what a later stage, or a user, starts from.
+fn write_inputs_of_later_stages(study: &Study, folder: &Path, models: &Models, recipes: &Recipes) -> Result<()> {
+    let json = |name: &str, value: Vec<u8>| artefact::write_file(&folder.join(name), &value);
+    for (name, model) in models::MODEL_FILES.iter().zip(models.plants(study)?) {
+        json(name, serde_json::to_vec_pretty(&model)?)?;
+    }
+    for (name, record) in models.sweeps() {
+        artefact::write_file(&folder.join(name), record.to_csv().as_bytes())?;
+    }
+    for (mode, list) in [(Mode::Displacement, &recipes.displacement), (Mode::Force, &recipes.force)] {
+        for (controller, recipe) in list {
+            let name = crate::station::replay::recipe_name(controller, mode);
+            json(&format!("recipes/{name}"), serde_json::to_vec_pretty(recipe)?)?;
+        }
+    }
+    Ok(())
+}
+
+/// The printed systems.
+struct PrintedSystems {
+    plant: TransferFunction,
+    controller: StateSpace<telepulse_lti::Continuous>,
+    uncertainty: TransferFunction,
+}
+
+impl PrintedSystems {
+    fn model(&self, study: &Study) -> Result<PlantModel> {
+        Ok(PlantModel {
+            version: PlantModel::VERSION,
+            nominal: self.plant.clone(),
+            uncertainty: Some(self.uncertainty.clone()),
+            input_linearisation: InputLinearisation::None,
+            bias_unit: study.identify.bias,
+            bias_displacement_mm: None,
+            full_scale_v: study.control.max_v,
+            provenance: ModelProvenance::Given { source: "Eq. (16) and (17)".into() },
+        }
+        .checked()?)
+    }
+
+    fn of(study: &Study) -> Result<Self> {
+        Ok(Self {
+            plant: study.printed.plant.to_transfer_function("printed.plant")?,
+            controller: study.printed.controller.to_transfer_function("printed.controller")?.to_state_space(),
+            uncertainty: study.printed.uncertainty.to_transfer_function("printed.uncertainty")?,
+        })
+    }
+}
+
+fn assemble(
+    study: &Study,
+    models: &Models,
+    recipes: &Recipes,
+    tracked: &[Tracked],
+    steps: &[(&str, Step); 2],
+    transmitted: &Transmitted,
+) -> Result<(Outcome, Vec<Figure>)> {
+    let printed = PrintedSystems::of(study)?;
+    let own = synthesize(study, &printed.plant)?;
+    let (numbers, list) = judge_printed(study, &printed, &own)?;
+    let model_step_mm = printed.plant.dc_gain()?;
+    let at = |step: &Step, t_s: f64| {
+        let idx = (t_s * study.control.sample_rate_hz).round() as usize;
+        step.displacement_mm.get(idx).copied().context("the step is shorter than it should be")
+    };
+    let (pulse_spectrum, pulse_figures) = pulse_figures(study)?;
+    let mut outcome = Outcome {
+        version: report::VERSION,
+        program: format!("telepulse {VERSION}"),
+        study: study.name.clone(),
+        title: study.title.clone(),
+        inputs: inputs(study)?,
+        seed: study.actuator.seed,
+        identified: models.voltage.summary(),
+        identified_magnitude_only: models.voltage.magnitude_only_summary()?,
+        identified_square_root: models.square_root.summary(),
+        synthesis: own.summary.clone(),
+        synthesis_identified: recipes.hinf.summary.clone(),
+        synthesis_best: recipes.best.summary.clone(),
+        printed: numbers,
+        certificates: recipes.certificates.iter().map(|(name, c)| (name.clone(), c.summary())).collect(),
+        step: StepOutcome {
+            peak_mm: steps[0].1.displacement_mm.iter().copied().fold(0.0, f64::max),
+            at_500_ms_mm: at(&steps[0].1, 0.5)?,
+            at_10_s_mm: at(&steps[0].1, 10.0)?,
+            printed_model_mm: model_step_mm,
+        },
+        tracking: BTreeMap::new(),
+        pulse: BTreeMap::new(),
+        pulse_spectrum,
+        link: transmitted.link.clone(),
+        disagreements: list,
+        assumptions: assumptions(study),
+    };
+    for run in tracked {
+        outcome
+            .tracking
+            .entry(run.controller.clone())
+            .or_default()
+            .insert(run.condition.to_owned(), run.result.clone());
+    }
+    for replay in &transmitted.replays {
+        outcome
+            .pulse
+            .entry(replay.controller.clone())
+            .or_default()
+            .insert(replay.mode.word().to_owned(), replay.result.clone());
+    }
+    let mut drawings = vec![
+        step_figure(steps, &printed.plant)?,
+        figures::frequency_response(&models.voltage, &printed.plant),
+        figures::uncertainty(&models.voltage.bound, &printed.uncertainty),
+        closed_loop_figure(&recipes.loops)?,
+    ];
+    drawings.extend(tracking_figures(tracked));
+    drawings.extend(pulse_figures);
+    drawings.extend(replay_figures(transmitted));
+    Ok((outcome, drawings))
+}
+
+fn judge_printed(
+    study: &Study,
+    printed: &PrintedSystems,
+    own: &Design,
+) -> Result<(Printed, Vec<super::outcome::Disagreement>)> {
+    use telepulse_design::synthesize::{MixedSensitivityWeights, mixed_sensitivity};
+    use telepulse_design::verify::{LoopUnderTest, verify};
+    let bare = verify(&LoopUnderTest {
+        plant: &printed.plant,
+        controller: &printed.controller,
+        bound: &printed.uncertainty,
+        measurement_filter: None,
+    })?;
+    let filtered = certify(study, &printed.model(study)?, &printed.controller)?;
+    let we = study.weights.error.to_transfer_function("weights.error")?;
+    let wu = study.weights.control.to_transfer_function("weights.control")?;
+    let generalized = mixed_sensitivity(&printed.plant, &MixedSensitivityWeights { we: &we, wu: &wu, wt: None })?;
+    let stacked = telepulse_lti::hinf_norm(&generalized.lower_lft(&printed.controller)?)?;
+    let margin = |c: &telepulse_design::verify::Certificate| c.gain_margin.as_ref().map(|m| m.factor);
+    let gain_margin_filtered = match &filtered {
+        Certified::Judged(certificate) => margin(certificate),
+        Certified::Refused(_) => None,
+    };
+    let list = disagreements::list(
+        study,
+        Recomputed {
+            gamma_printed: stacked.value,
+            gamma_lower: own.summary.gamma_lower,
+            gain_margin: margin(&bare).unwrap_or(f64::INFINITY),
+            gain_margin_filtered: gain_margin_filtered.unwrap_or(f64::INFINITY),
+        },
+    )?;
+    let numbers = Printed {
+        norm_ms: bare.norm_ms.value,
+        norm_ws: bare.norm_ws.value,
+        small_gain_limit: bare.small_gain_limit,
+        frequency_wise: bare.frequency_wise.value,
+    };
+    Ok((numbers, list))
+}
+
+fn step_figure(steps: &[(&str, Step)], model: &TransferFunction) -> Result<Figure> {
+    let shown_s = 3.0;
+    let devices: Vec<(String, Vec<f64>, Vec<f64>)> = steps
+        .iter()
+        .map(|(name, step)| {
+            let kept = || (0..step.time_s.len()).step_by(4).take_while(|k| step.time_s[*k] <= shown_s);
+            ((*name).to_owned(), kept().map(|k| step.time_s[k]).collect(), kept().map(|k| step.displacement_mm[k]).collect())
+        })
+        .collect();
+    let response = model.to_state_space().step_response(0, shown_s, telepulse_lti::SampleTime::new(2e-3)?)?;
+    let linear_mm: Vec<f64> = response.outputs.column(0).iter().copied().collect();
+    Ok(figures::step(&devices, (&response.time_s, &linear_mm)))
+}
+
+fn closed_loop_figure(loops: &[recipes::Loop]) -> Result<Figure> {
+    let hz: Vec<f64> = (0..400).map(|idx| 0.05 * (50.0_f64 / 0.05).powf(f64::from(idx) / 399.0)).collect();
+    let curves = loops
+        .iter()
+        .map(|one| {
+            let (mut t, mut ks) = (Vec::with_capacity(hz.len()), Vec::with_capacity(hz.len()));
+            for hz in &hz {
+                let omega = TAU * hz;
+                let (g, k, f) = (one.plant.at(omega), one.controller.at(omega)?[(0, 0)], one.filter.at(omega));
+                let sensitivity = 1.0 / (1.0 + g * k * f);
+                t.push(g * k * sensitivity);
+                ks.push(k * sensitivity);
+            }
+            Ok((one.controller_name.clone(), t, ks))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    Ok(figures::closed_loop(&curves, &hz))
+}
+
+fn tracking_figures(tracked: &[Tracked]) -> Vec<Figure> {
+    let traces = |condition: &str| -> figures::Traces {
+        tracked.iter().filter(|run| run.condition == condition).map(|run| (run.controller.clone(), run.trace.clone())).collect()
+    };
+    let main = ["printed_k", "hinf", "best"];
+    vec![
+        figures::tracking(
+            "fig13-tracking",
+            "Tracking of (25) (counterpart of figure 13)",
+            "Normal condition. The true displacement, not the measured one.",
+            &traces("normal"),
+            &main,
+        ),
+        figures::tracking(
+            "fig14-pid",
+            "Tracking of (25) with PID (counterpart of figure 14)",
+            "The paper's two sets of gains, with the filter (26). A run that the supervisor ends stops early.",
+            &traces("normal"),
+            &["pid_auto", "pid_manual"],
+        ),
+        figures::tracking(
+            "fig15-disturbance-noise",
+            "Tracking of (25) under disturbance and noise (counterpart of figure 15)",
+            "A constant force on the plate and a 50 Hz sine on the sensor. The true displacement, not the measured one.",
+            &traces("both"),
+            &main,
+        ),
+    ]
+}
+
+fn pulse_figures(study: &Study) -> Result<(Spectrum, Vec<Figure>)> {
+    let pulse = recording::read(&study.path(&study.pulse.recording))?
+        .scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, telepulse_pulse::Unit::Pascal)?;
+    let beats = telepulse_pulse::beats::detect(&pulse)?;
+    let feet_s: Vec<f64> = beats.beats.iter().map(|beat| beat.foot_s).collect();
+    let at = |t_s: f64| {
+        let idx = ((t_s - pulse.start_s()) * pulse.sample_rate_hz()).round().max(0.0) as usize;
+        pulse.values()[idx.min(pulse.n_samples() - 1)]
+    };
+    let feet_pa: Vec<f64> = feet_s.iter().map(|t_s| at(*t_s)).collect();
+    let mean = pulse.mean();
+    let centred: Vec<f64> = pulse.values().iter().map(|p| p - mean).collect();
+    let spectrum = LineSpectrum::of(&centred, pulse.sample_rate_hz(), Window::Hann)?;
+    let strongest = spectrum.amplitudes().iter().copied().fold(0.0, f64::max);
+    let peaks: Vec<_> = spectrum
+        .peaks(0.08 * strongest)
+        .into_iter()
+        .filter(|peak| peak.frequency_hz > 0.7 && peak.frequency_hz < 10.0)
+        .collect();
+    let marks: Vec<(f64, f64)> = peaks.iter().map(|peak| (peak.frequency_hz, peak.amplitude)).collect();
+    let found = Spectrum {
+        heart_rate_bpm: beats.heart_rate_bpm,
+        beats: beats.beats.len(),
+        peaks_hz: peaks.iter().map(|peak| peak.frequency_hz).collect(),
+    };
+    let figures = vec![
+        figures::pulse(&pulse.times_s(), pulse.values(), &feet_s, &feet_pa),
+        figures::spectrum(&spectrum.frequencies_hz(), spectrum.amplitudes(), &marks),
+    ];
+    Ok((found, figures))
+}
+
+fn replay_figures(transmitted: &Transmitted) -> Vec<Figure> {
+    let traces = |mode: Mode| -> figures::Traces {
+        transmitted.replays.iter().filter(|r| r.mode == mode).map(|r| (r.controller.clone(), r.trace.clone())).collect()
+    };
+    let displacement = traces(Mode::Displacement);
+    vec![
+        figures::replay(
+            "fig18-displacement",
+            "Pulse replayed in displacement mode (counterpart of figure 18)",
+            "Received over the link, replayed on the virtual rig with weight and laser.",
+            "displacement, mm",
+            &displacement,
+            0.0,
+            f64::INFINITY,
+        ),
+        figures::replay(
+            "fig20-force",
+            "Pulse replayed in force mode (counterpart of figure 20)",
+            "Pressure on the load cell that holds the plate.",
+            "pressure, Pa",
+            &traces(Mode::Force),
+            0.0,
+            f64::INFINITY,
+        ),
+        figures::replay(
+            "tracked-pulse",
+            "A patient's pulse, felt at a distance",
+            "Six seconds of the replay in displacement mode: the printed controller lags, preview removes the lag.",
+            "displacement, mm",
+            &displacement,
+            10.0,
+            16.0,
+        ),
+    ]
+}
+
+fn inputs(study: &Study) -> Result<BTreeMap<String, String>> {
+    let mut paths = vec![study.file.clone(), study.path(&study.pulse.recording)];
+    paths.extend(study.identify.sweep_csv.as_ref().map(|path| study.path(path)));
+    paths
+        .into_iter()
+        .map(|path| {
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            Ok((name, artefact::sha256_of(&path)?))
+        })
+        .collect()
+}
+
+fn assumptions(study: &Study) -> Vec<Assumption> {
+    let own = |name: &str, value: String, why: &str| Assumption { name: name.into(), value, why: why.into() };
+    let mut list = vec![
+        own(
+            "offset of the reference",
+            format!("{} mm", study.reference.offset_mm),
+            "(25) alone would ask for negative displacements, which no voltage makes",
+        ),
+        own(
+            "constant disturbance",
+            format!("{} mN from {} s on", 1e3 * study.conditions.disturbance_n, study.conditions.disturbance_start_s),
+            "its size is not given; it stands when the judged window begins",
+        ),
+        own("sample rate", format!("{} Hz", study.control.sample_rate_hz), "not given"),
+        own(
+            "bias of the sweep",
+            format!("{} of full scale", study.identify.bias),
+            "not given; a sine about zero volts has no response at its own frequency",
+        ),
+        own(
+            "judged window",
+            format!("{} s after {} s", study.reference.window_s, study.reference.settle_s),
+            "one common period of the three sines, after the start transient",
+        ),
+        own("errors", "true output against reference".into(), "the paper does not say whether its errors include the sensor's noise"),
+    ];
+    list.extend(rig_assumptions().iter().map(|a| own(a.name, format!("{} {}", a.value, a.unit), a.reason)));
+    list
+}
+
+impl Finished {
+    /// True where every check of the study itself is met: bound, certificate of our designs, link, voltage.
+    #[must_use]
+    pub fn passed(&self) -> bool {
+        let outcome = &self.outcome;
+        let certified = ["hinf", "best"].iter().all(|name| outcome.certificates.get(*name).is_some_and(|c| c.holds));
+        let stable = CONDITIONS
+            .iter()
+            .all(|(condition, _)| outcome.tracking.get("best").and_then(|runs| runs.get(*condition)).is_some_and(|run| !run.unstable));
+        outcome.identified.bound_violations == 0 && outcome.link.bit_exact && certified && stable
+    }
+
+    /// Ten lines for the terminal.
+    #[must_use]
+    pub fn summary_lines(&self) -> Vec<String> {
+        let o = &self.outcome;
+        let error = |controller: &str| {
+            o.tracking
+                .get(controller)
+                .and_then(|runs| runs.get("normal"))
+                .and_then(|run| run.mean_abs_error_mm)
+                .map_or_else(|| "unstable".to_owned(), |mm| format!("{mm:.5} mm"))
+        };
+        let replay = |controller: &str, mode: &str| {
+            o.pulse.get(controller).and_then(|runs| runs.get(mode)).map_or_else(
+                || "not run".to_owned(),
+                |run| match (run.lag_ms, run.nrmse) {
+                    (Some(lag), Some(nrmse)) => format!("lag {lag:.2} ms, NRMSE {:.2} %", 100.0 * nrmse),
+                    _ => "unstable".to_owned(),
+                },
+            )
+        };
+        let certified: Vec<&str> = o.certificates.iter().filter(|(_, c)| c.holds).map(|(name, _)| name.as_str()).collect();
+        vec![
+            o.title.clone(),
+            format!(
+                "identified   {:.4} mm/unit, {:.2} rad/s, zeta {:.3}; bound above all {} points",
+                o.identified.dc_gain_mm_per_unit, o.identified.omega_n_rad_s, o.identified.zeta, o.identified.bound_points
+            ),
+            format!(
+                "synthesis    gamma {:.5} on the printed plant (no controller below {:.5}; the printed K: 0.5728)",
+                o.synthesis.gamma_achieved, o.synthesis.gamma_lower
+            ),
+            format!("certified    {}", certified.join(", ")),
+            format!("tracking     printed K {}, own S/KS {}, best {}", error("printed_k"), error("hinf"), error("best")),
+            format!(
+                "link         {} samples, lost {}, duplicated {}, out of order {}, bit exact {}",
+                o.link.received, o.link.lost, o.link.duplicated, o.link.out_of_order, o.link.bit_exact
+            ),
+            format!("pulse        printed K: {}; best: {}", replay("printed_k", "displacement"), replay("best", "displacement")),
+            format!("pulse force  printed K: {}; best: {}", replay("printed_k", "force"), replay("best", "force")),
+            format!("report       {}", self.folder.join("report.html").display()),
+            format!(
+                "numbers      {}   figures {}",
+                self.folder.join("report.json").display(),
+                self.folder.join("figures").display()
+            ),
+        ]
+    }
+}
