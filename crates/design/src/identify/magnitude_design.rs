@@ -55,18 +55,25 @@ struct Row {
 /// covers `points` up to the accuracy of the program, 1e-6; the caller scales it.
 ///
 /// # Errors
-/// [`Error::CoverInfeasible`] where no weight is found within [`RATIO_MAX`].
+/// [`Error::CoverInfeasible`] where no weight is found within the last of [`RATIOS_TRIED`].
 pub(super) fn cover_magnitude(points: &[EnvelopePoint], shape: BoundShape) -> Result<TransferFunction> {
     let (first, last) = (points[0], points[points.len() - 1]);
     let scale = (first.omega * last.omega).sqrt();
     let peak = points.iter().fold(0.0, |m: f64, p| m.max(p.error));
     let rows = design_rows(points, shape, scale, peak);
 
+    // A wide factor makes a badly scaled program, so the small ones are tried first.
     let mut lower: f64 = 0.0;
-    let mut upper: f64 = RATIO_MAX.ln();
-    let mut best =
-        feasible(&rows, RATIO_MAX, shape, scale).ok_or(Error::CoverInfeasible { ratio_max: RATIO_MAX })?;
-    upper = upper.min(ratio(&best, &rows).ln());
+    let mut best = None;
+    for t in RATIOS_TRIED {
+        best = feasible(&rows, t, shape, scale);
+        if best.is_some() {
+            break;
+        }
+        lower = t.ln();
+    }
+    let mut best = best.ok_or(Error::CoverInfeasible { ratio_max: RATIOS_TRIED[RATIOS_TRIED.len() - 1] })?;
+    let mut upper = ratio(&best, &rows).ln().max(lower);
     for _ in 0..BISECTIONS_MAX {
         if upper - lower <= TOLERANCE {
             break;
@@ -85,11 +92,11 @@ pub(super) fn cover_magnitude(points: &[EnvelopePoint], shape: BoundShape) -> Re
 
 /// Errors within this factor of a frequency count as errors at it when the tightness is judged: half an octave.
 const NEIGHBOURHOOD: f64 = std::f64::consts::SQRT_2;
-/// Largest factor between a weight and the data; beyond it there is no use in a bound.
-const RATIO_MAX: f64 = 1e3;
+/// Factors between a weight and the data that are tried until one is feasible; beyond the last one there is no use in a bound.
+const RATIOS_TRIED: [f64; 4] = [2.0, 8.0, 60.0, 1000.0];
 /// Bracket of ln t at the end: one percent.
 const TOLERANCE: f64 = 1e-2;
-/// Bound on the bisections: ln(1e3) / 2^10 is below the tolerance.
+/// Bound on the bisections: ln(1000/60) / 2^9 is below the tolerance.
 const BISECTIONS_MAX: usize = 10;
 /// Smallest damping ratio of the weight: the bound may not have a peak or dip too narrow for the grid it is checked on.
 pub(super) const DAMPING_MIN: f64 = 0.05;
@@ -141,7 +148,7 @@ fn powers(x: f64) -> [f64; 3] {
 ///
 /// Variables: numerator (1 or 3), denominator (3), slack. Rows: the mean of the denominator over all frequencies is 1 (a
 /// value at one frequency would leave the program unbounded where no row is near); then `N/e^2 - D >= slack` and
-/// `D - N/(t h)^2 >= slack` for each frequency; then the outer coefficients >= 0.
+/// `D - N/(t h)^2 >= slack` for each frequency, scaled to size one; then the outer coefficients >= 0.
 fn feasible(rows: &[Row], t: f64, shape: BoundShape, scale: f64) -> Option<PowerRatio> {
     let n_num = match shape {
         BoundShape::ConstantNumerator => 1,
@@ -160,12 +167,14 @@ fn feasible(rows: &[Row], t: f64, shape: BoundShape, scale: f64) -> Option<Power
     for row in rows {
         let p = powers(row.x);
         let mut inequality = |numerator: f64, denominator: f64| {
+            // Each row at size one; the slack is only asked for its sign.
+            let size = numerator.abs().max(denominator.abs());
             let mut a = vec![0.0; n_var];
             for k in 0..n_num {
-                a[k] = -numerator * p[k];
+                a[k] = -numerator / size * p[k];
             }
             for k in 0..3 {
-                a[d0 + k] = -denominator * p[k];
+                a[d0 + k] = -denominator / size * p[k];
             }
             a[slack] = 1.0;
             A.push(a);
@@ -192,7 +201,7 @@ fn feasible(rows: &[Row], t: f64, shape: BoundShape, scale: f64) -> Option<Power
 }
 
 /// Slack above which a program counts as feasible; its rows are of size one, its accuracy is 1e-8.
-const SLACK_MIN: f64 = 1e-7;
+const SLACK_MIN: f64 = 1e-8;
 
 /// Maximises variable `slack`; the first row is the equation `= 1`, the others are `<= 0`.
 fn solve(A: &[Vec<f64>], n_var: usize, slack: usize) -> Option<Vec<f64>> {
