@@ -234,9 +234,9 @@ fn law_bound_is_never_below_the_data_of_1000_random_families() {
         covers_between_points(&record, &plant, &bound.weight, series, seed);
         loosest.push(bound.loosest_ratio);
     }
-    // DBG
+    // Half of the families, noise and nulls included, are followed within a factor of four (measured: 3.9).
     loosest.sort_by(f64::total_cmp);
-    println!("loosest median {} p90 {} max {}", loosest[500], loosest[900], loosest[999]);
+    assert!(loosest[500] < 4.5, "median of the loosest ratios: {}", loosest[500]);
 }
 
 /// Walks each amplitude's error, drawn straight in log-log, in steps that are not those of the code.
