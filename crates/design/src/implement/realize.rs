@@ -46,7 +46,7 @@ pub struct Realization {
 ///
 /// **Source**: Middleton and Goodwin 1986, IEEE Trans. Autom. Control 31(11), 1015-1021, for the delta operator.
 ///
-/// **Accuracy**: `response_error`, at most [`RESPONSE_ERROR_MAX`]; near 1e-12 for poles that lie apart.
+/// **Accuracy**: `response_error`, at most 1e-6; near 1e-12 for poles that lie apart.
 ///
 /// # Errors
 /// [`Error::NotSiso`]; [`Error::ModesIllConditioned`] for (nearly) repeated poles, which have no modal form;

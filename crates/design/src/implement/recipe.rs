@@ -355,10 +355,12 @@ fn check_settings(settings: &RecipeSettings) -> Result<()> {
             return Err(Error::OutOfRange { key, found, allowed });
         }
     }
-    match &settings.feedforward {
-        Some(filter) => check_sample_time("sample time of the feedforward", filter.sample_time_s, settings),
-        None => Ok(()),
+    let Some(filter) = &settings.feedforward else { return Ok(()) };
+    if filter.n_preview >= filter.taps.len() {
+        let allowed = "below the number of taps";
+        return Err(Error::OutOfRange { key: "n_preview", found: filter.n_preview as f64, allowed });
     }
+    check_sample_time("sample time of the feedforward", filter.sample_time_s, settings)
 }
 
 #[cfg(test)]
@@ -470,6 +472,10 @@ mod tests {
         // 0.9 * 0.6^2 = 0.324 mm is held by 0.6, which is 0.1 above the bias.
         let curved = settings.feedforward_command(&[0.324; 300]).expect("has a filter");
         assert!(curved.iter().all(|u| (u - 0.1).abs() < 1e-12));
+        if let Some(filter) = &mut settings.feedforward {
+            filter.n_preview = filter.taps.len();
+        }
+        assert!(matches!(check_settings(&settings), Err(Error::OutOfRange { key: "n_preview", .. })));
         settings.feedforward = None;
         assert_eq!(settings.feedforward_command(&[0.4]), None);
     }
