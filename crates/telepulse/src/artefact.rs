@@ -14,7 +14,8 @@ pub fn write_file(path: &Path, content: &[u8]) -> Result<()> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs::create_dir_all(folder).with_context(|| format!("cannot make folder {}", folder.display()))?;
     }
-    let mut name = path.file_name().with_context(|| format!("{} names no file", path.display()))?.to_os_string();
+    let mut name =
+        path.file_name().with_context(|| format!("{} names no file", path.display()))?.to_os_string();
     name.push(format!(".partial-{}", std::process::id()));
     let partial = path.with_file_name(name);
     let written = fs::write(&partial, content).and_then(|()| fs::rename(&partial, path));
@@ -60,13 +61,15 @@ impl StagedFolder {
     pub fn beside(target: &Path) -> Result<Self> {
         if target.exists() {
             ensure!(
-                target.join(MARK).is_file() || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none()),
+                target.join(MARK).is_file()
+                    || fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none()),
                 "{} exists and holds no {MARK}: it is no results folder and is left alone",
                 target.display()
             );
         }
         let name = target.file_name().with_context(|| format!("{} names no folder", target.display()))?;
-        let staged = target.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
+        let staged =
+            target.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
         fs::create_dir_all(&staged).with_context(|| format!("cannot make folder {}", staged.display()))?;
         Ok(Self { staged, target: target.to_path_buf(), committed: false })
     }
@@ -85,7 +88,8 @@ impl StagedFolder {
         let old = self.staged.with_extension("old");
         let had_old = self.target.exists();
         if had_old {
-            fs::rename(&self.target, &old).with_context(|| format!("cannot replace {}", self.target.display()))?;
+            fs::rename(&self.target, &old)
+                .with_context(|| format!("cannot replace {}", self.target.display()))?;
         }
         if let Err(error) = fs::rename(&self.staged, &self.target) {
             if had_old {

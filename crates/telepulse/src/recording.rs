@@ -4,8 +4,8 @@ use std::fs::File;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use telepulse_pulse::formats::csv;
 use telepulse_pulse::PulseRecording;
+use telepulse_pulse::formats::csv;
 
 use crate::artefact;
 

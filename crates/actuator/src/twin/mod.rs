@@ -96,7 +96,7 @@ struct Branches {
 /// Step that resolves the plate on the membrane (6 Hz) and the circuit (4.5 ms), one tick at 2 kHz, s.
 const DEFAULT_STEP_S: f64 = 0.5e-3;
 /// Steps per radian of the fastest contact mode.
-const CONTACT_STEPS_PER_RADIAN: f64 = 9.0;
+const CONTACT_STEPS_PER_RADIAN: f64 = 4.0;
 
 impl Twin {
     /// The twin under its own load, at rest at zero voltage, with its branches relaxed.

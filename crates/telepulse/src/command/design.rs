@@ -48,8 +48,14 @@ pub(super) fn run(typed: &DesignArguments, json: bool) -> Result<Verdict> {
     answer(json, &answered, || {
         let (s, c) = (&answered.synthesis, &answered.certificate);
         vec![
-            format!("gamma {:.6}, no controller below {:.6}; fastest pole {:.1} rad/s", s.gamma_achieved, s.gamma_lower, s.fastest_pole_rad_s),
-            format!("peaks: K S {:.4}, S {:.4}, T {:.4}; bandwidth {:.3} Hz", s.peak_ks, s.peak_s, s.peak_t, s.bandwidth_hz),
+            format!(
+                "gamma {:.6}, no controller below {:.6}; fastest pole {:.1} rad/s",
+                s.gamma_achieved, s.gamma_lower, s.fastest_pole_rad_s
+            ),
+            format!(
+                "peaks: K S {:.4}, S {:.4}, T {:.4}; bandwidth {:.3} Hz",
+                s.peak_ks, s.peak_s, s.peak_t, s.bandwidth_hz
+            ),
             super::verify::line(c),
             format!("written: {}", answered.recipe),
         ]
@@ -60,8 +66,8 @@ pub(super) fn run(typed: &DesignArguments, json: bool) -> Result<Verdict> {
 /// The model from a file, or the plant that the study gives itself.
 pub(super) fn model(study: &Study, file: Option<&PathBuf>) -> Result<PlantModel> {
     if let Some(path) = file {
-        let model: PlantModel =
-            serde_json::from_str(&artefact::read_text(path)?).with_context(|| format!("in {}", path.display()))?;
+        let model: PlantModel = serde_json::from_str(&artefact::read_text(path)?)
+            .with_context(|| format!("in {}", path.display()))?;
         return model.checked().with_context(|| format!("in {}", path.display()));
     }
     let own = study.plant.as_ref().context(

@@ -44,9 +44,8 @@ pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
     let input = if typed.square_root { InputLinearisation::SquareRoot } else { InputLinearisation::None };
     let own = typed.sweep.clone().or_else(|| study.identify.sweep_csv.as_ref().map(|path| study.path(path)));
     let record = match &own {
-        Some(path) => {
-            SweepRecord::from_csv(&artefact::read_text(path)?).with_context(|| format!("in {}", path.display()))?
-        }
+        Some(path) => SweepRecord::from_csv(&artefact::read_text(path)?)
+            .with_context(|| format!("in {}", path.display()))?,
         None => {
             let twin = device::twin(&study)?;
             let mut rig = device::displacement(&study, &twin, Conditions::default())?;
@@ -73,7 +72,10 @@ pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
                 1e3 * i.rc_s,
                 i.residual_rms
             ),
-            format!("W_s: {:?} / {:?}, above all {} points", i.bound_numerator, i.bound_denominator, i.bound_points),
+            format!(
+                "W_s: {:?} / {:?}, above all {} points",
+                i.bound_numerator, i.bound_denominator, i.bound_points
+            ),
             format!("written: {}", answered.model),
         ]
     })?;

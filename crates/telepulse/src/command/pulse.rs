@@ -60,7 +60,8 @@ pub(super) fn run(typed: &PulseArguments, json: bool) -> Result<Verdict> {
     match &typed.action {
         Action::Info { file } => {
             let found = recording::read(file)?;
-            let fold = |start: f64, pick: fn(f64, f64) -> f64| found.values().iter().copied().fold(start, pick);
+            let fold =
+                |start: f64, pick: fn(f64, f64) -> f64| found.values().iter().copied().fold(start, pick);
             let info = Info {
                 file: file.display().to_string(),
                 unit: found.unit().symbol().to_owned(),
@@ -74,8 +75,14 @@ pub(super) fn run(typed: &PulseArguments, json: bool) -> Result<Verdict> {
             };
             answer(json, &info, || {
                 vec![
-                    format!("{}: {} samples at {} Hz, {:.2} s", info.file, info.samples, info.sample_rate_hz, info.duration_s),
-                    format!("from {} to {} {}, mean {:.3} {}", info.minimum, info.maximum, info.unit, info.mean, info.unit),
+                    format!(
+                        "{}: {} samples at {} Hz, {:.2} s",
+                        info.file, info.samples, info.sample_rate_hz, info.duration_s
+                    ),
+                    format!(
+                        "from {} to {} {}, mean {:.3} {}",
+                        info.minimum, info.maximum, info.unit, info.mean, info.unit
+                    ),
                 ]
             })?;
         }
@@ -93,12 +100,22 @@ pub(super) fn run(typed: &PulseArguments, json: bool) -> Result<Verdict> {
                 beats_s: beats.beats.iter().map(|beat| beat.peak_s).collect(),
                 feet_s: beats.beats.iter().map(|beat| beat.foot_s).collect(),
                 heart_rate_bpm: beats.heart_rate_bpm,
-                spectral_peaks_hz: spectrum.peaks(0.1 * strongest).iter().map(|peak| peak.frequency_hz).collect(),
+                spectral_peaks_hz: spectrum
+                    .peaks(0.1 * strongest)
+                    .iter()
+                    .map(|peak| peak.frequency_hz)
+                    .collect(),
             };
             answer(json, &analysis, || {
-                let peaks: Vec<String> = analysis.spectral_peaks_hz.iter().map(|hz| format!("{hz:.3}")).collect();
+                let peaks: Vec<String> =
+                    analysis.spectral_peaks_hz.iter().map(|hz| format!("{hz:.3}")).collect();
                 vec![
-                    format!("{}: {} beats, {:.1} per minute", analysis.file, analysis.beats_s.len(), analysis.heart_rate_bpm),
+                    format!(
+                        "{}: {} beats, {:.1} per minute",
+                        analysis.file,
+                        analysis.beats_s.len(),
+                        analysis.heart_rate_bpm
+                    ),
                     format!("spectral peaks at {} Hz", peaks.join(", ")),
                 ]
             })?;

@@ -39,12 +39,18 @@ pub(super) fn run(typed: &ReceiveArguments, json: bool) -> Result<Verdict> {
         replay: typed.study.clone().zip(typed.recipes.clone()),
         timeout_s: typed.timeout_s,
     };
-    let received = doctor::receive(&order, &mut |address| super::notify(&format!("{}{address}", doctor::LISTENING)))
-        .with_context(|| format!("receiving on {}", typed.listen))?;
+    let received =
+        doctor::receive(&order, &mut |address| super::notify(&format!("{}{address}", doctor::LISTENING)))
+            .with_context(|| format!("receiving on {}", typed.listen))?;
     answer(json, &received, || {
         let mut lines = vec![format!(
             "received {} of {} samples of {} at {} Hz from {}, bit exact: {}",
-            received.received, received.sent, received.unit, received.sample_rate_hz, received.peer, received.bit_exact
+            received.received,
+            received.sent,
+            received.unit,
+            received.sample_rate_hz,
+            received.peer,
+            received.bit_exact
         )];
         for replayed in &received.replays {
             lines.push(super::replay::line(replayed));

@@ -60,7 +60,8 @@ pub(super) fn run(typed: &SendArguments, json: bool) -> Result<Verdict> {
             .scaled_to_peak_to_peak(peak_to_peak_pa, Unit::Pascal)
             .with_context(|| format!("in {}", typed.file.display()))?;
     }
-    let header = StreamHeader::describe(found.values(), found.unit().symbol(), &found.title, found.sample_rate_hz())?;
+    let header =
+        StreamHeader::describe(found.values(), found.unit().symbol(), &found.title, found.sample_rate_hz())?;
     let pace = if typed.realtime { Pace::RealTime } else { Pace::AsFastAsPossible };
     let options = SendOptions {
         sender: SenderSettings { pace, ..SenderSettings::default() },

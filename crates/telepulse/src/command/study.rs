@@ -68,13 +68,15 @@ fn run_study(path: &Path, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
 }
 
 fn new_study(folder: &Path, json: bool) -> Result<Verdict> {
-    let empty = !folder.exists() || std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
+    let empty =
+        !folder.exists() || std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
     ensure!(empty, "{} exists and is not an empty folder: it is left alone", folder.display());
     for (name, content) in TEMPLATE {
         artefact::write_file(&folder.join(name), content.as_bytes())
             .with_context(|| format!("while starting a study in {}", folder.display()))?;
     }
-    let files: Vec<String> = TEMPLATE.iter().map(|(name, _)| folder.join(name).display().to_string()).collect();
+    let files: Vec<String> =
+        TEMPLATE.iter().map(|(name, _)| folder.join(name).display().to_string()).collect();
     answer(json, &serde_json::json!({ "files": files }), || {
         let mut lines = files.clone();
         lines.push(format!("next: telepulse study run {}", folder.display()));

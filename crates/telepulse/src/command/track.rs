@@ -10,8 +10,8 @@ use telepulse_pulse::Unit;
 use super::{Verdict, answer};
 use crate::artefact;
 use crate::recording;
-use crate::station::{control, device};
 use crate::station::replay::{Followed, follow, pulse_reference, read_recipe};
+use crate::station::device;
 use crate::study::config::Study;
 
 #[derive(Debug, Args)]
@@ -73,8 +73,12 @@ pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
         artefact::write_file(path, &serde_json::to_vec(&trace)?)?;
     }
     let unstable = result.unstable;
-    let answered =
-        Answer { pulse: result, mean_abs_error_mm, max_abs_error_mm, provenance: control::provenance(&recipe) };
+    let answered = Answer {
+        pulse: result,
+        mean_abs_error_mm,
+        max_abs_error_mm,
+        provenance: recipe.provenance().to_string(),
+    };
     answer(json, &answered, || {
         vec![
             match (answered.pulse.lag_ms, answered.pulse.nrmse, answered.mean_abs_error_mm) {

@@ -29,8 +29,8 @@ pub(super) fn run(typed: &VerifyArguments, json: bool) -> Result<Verdict> {
     let model = super::design::model(&study, typed.model.as_ref())?;
     let controller = match &typed.controller {
         Some(path) => {
-            let typed: Polynomials =
-                serde_json::from_str(&artefact::read_text(path)?).with_context(|| format!("in {}", path.display()))?;
+            let typed: Polynomials = serde_json::from_str(&artefact::read_text(path)?)
+                .with_context(|| format!("in {}", path.display()))?;
             typed.to_transfer_function("controller").with_context(|| format!("in {}", path.display()))?
         }
         None => study.printed.controller.to_transfer_function("printed.controller")?,
@@ -46,7 +46,9 @@ pub(super) fn line(c: &CertificateSummary) -> String {
         return format!("UNCERTIFIED: {}", c.reason.clone().unwrap_or_default());
     }
     let number = |value: Option<f64>| value.map_or_else(|| "unknown".to_owned(), |v| format!("{v:.4}"));
-    let margin = |value: Option<f64>, unit: &str| value.map_or_else(|| "infinite".to_owned(), |v| format!("{v:.3}{unit}"));
+    let margin = |value: Option<f64>, unit: &str| {
+        value.map_or_else(|| "infinite".to_owned(), |v| format!("{v:.3}{unit}"))
+    };
     format!(
         "certified: norm product {}, max |Ws K S| {}, gain margin {}, phase margin {}",
         number(c.norm_product),

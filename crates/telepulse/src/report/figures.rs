@@ -8,6 +8,7 @@ use telepulse_lti::TransferFunction;
 
 use crate::figure::{Axis, Colour, Dash, Figure, Marker, Panel, Series};
 use crate::study::identify::Identification;
+use crate::study::outcome::BiasPoint;
 use crate::study::trace::Trace;
 
 /// Traces by controller.
@@ -51,14 +52,17 @@ fn phase_deg(values: &[num_complex::Complex64]) -> Vec<f64> {
 #[must_use]
 pub fn frequency_response(identification: &Identification, printed: &TransferFunction) -> Figure {
     let hz = grid_hz(0.08, 16.0, 400);
-    let mut magnitude = Panel::new(Axis::log("frequency, Hz"), Axis::linear("magnitude, dB re 1 mm per unit"));
+    let mut magnitude =
+        Panel::new(Axis::log("frequency, Hz"), Axis::linear("magnitude, dB re 1 mm per unit"));
     let mut phase = Panel::new(Axis::log("frequency, Hz"), Axis::degrees("phase, degrees"));
     let markers = [Marker::Circle, Marker::Square, Marker::Triangle, Marker::Diamond];
     for (idx, amplitude) in identification.record.amplitudes().into_iter().enumerate() {
-        let points: Vec<_> = identification.record.points().iter().filter(|p| p.amplitude == amplitude).collect();
+        let points: Vec<_> =
+            identification.record.points().iter().filter(|p| p.amplitude == amplitude).collect();
         let x: Vec<f64> = points.iter().map(|p| p.frequency_hz).collect();
         let name = format!("measured, amplitude {amplitude}");
-        let (colour, marker) = ([Colour::Sky, Colour::Orange, Colour::Purple, Colour::Grey][idx % 4], markers[idx % 4]);
+        let (colour, marker) =
+            ([Colour::Sky, Colour::Orange, Colour::Purple, Colour::Grey][idx % 4], markers[idx % 4]);
         let db = points.iter().map(|p| decibel(p.magnitude_mm_per_unit)).collect();
         magnitude = magnitude.series(Series::points(name.clone(), x.clone(), db, colour, marker));
         let deg = points.iter().map(|p| p.phase_deg).collect();
@@ -66,7 +70,12 @@ pub fn frequency_response(identification: &Identification, printed: &TransferFun
     }
     let models = [
         ("fit, complex least squares", &identification.fit.transfer_function, Colour::Blue, Dash::Solid),
-        ("fit by magnitude only", &identification.magnitude_fit.transfer_function, Colour::Green, Dash::Dashed),
+        (
+            "fit by magnitude only",
+            &identification.magnitude_fit.transfer_function,
+            Colour::Green,
+            Dash::Dashed,
+        ),
         ("printed (16)", printed, Colour::Ink, Dash::Dotted),
     ];
     for (name, model, colour, dash) in models {
@@ -101,9 +110,10 @@ pub fn uncertainty(bound: &UncertaintyBound, printed: &TransferFunction) -> Figu
             markers[idx % 4],
         ));
     }
-    for (name, weight, colour, dash) in
-        [("own bound W_s", &bound.weight, Colour::Blue, Dash::Solid), ("printed (17)", printed, Colour::Ink, Dash::Dotted)]
-    {
+    for (name, weight, colour, dash) in [
+        ("own bound W_s", &bound.weight, Colour::Blue, Dash::Solid),
+        ("printed (17)", printed, Colour::Ink, Dash::Dotted),
+    ] {
         let y = hz.iter().map(|hz| weight.at(TAU * hz).norm()).collect();
         panel = panel.series(Series::dashed(name, hz.clone(), y, colour, dash));
     }
@@ -121,7 +131,13 @@ pub fn step(devices: &[(String, Vec<f64>, Vec<f64>)], model: (&[f64], &[f64])) -
         let colour = colours[idx % colours.len()];
         panel = panel.series(Series::line(name.clone(), time_s.clone(), displacement_mm.clone(), colour));
     }
-    panel = panel.series(Series::dashed("linear model (16)", model.0.to_vec(), model.1.to_vec(), Colour::Ink, Dash::Dotted));
+    panel = panel.series(Series::dashed(
+        "linear model (16)",
+        model.0.to_vec(),
+        model.1.to_vec(),
+        Colour::Ink,
+        Dash::Dotted,
+    ));
     Figure::new("fig09-step", "Step of 5 kV (counterpart of figure 9)")
         .caption("From rest under the load. The paper's figure settles at 2 mm, its model (16) at 0.935 mm.")
         .panel(panel)
@@ -129,7 +145,10 @@ pub fn step(devices: &[(String, Vec<f64>, Vec<f64>)], model: (&[f64], &[f64])) -
 
 /// Figure 12: complementary sensitivities.
 #[must_use]
-pub fn closed_loop(loops: &[(String, Vec<num_complex::Complex64>, Vec<num_complex::Complex64>)], hz: &[f64]) -> Figure {
+pub fn closed_loop(
+    loops: &[(String, Vec<num_complex::Complex64>, Vec<num_complex::Complex64>)],
+    hz: &[f64],
+) -> Figure {
     let mut tracking = Panel::new(Axis::log("frequency, Hz"), Axis::linear("T, dB").range(-40.0, 10.0));
     let mut effort = Panel::new(Axis::log("frequency, Hz"), Axis::linear("K S, dB re 1 unit per mm"));
     for (controller, t, ks) in loops {
@@ -145,6 +164,36 @@ pub fn closed_loop(loops: &[(String, Vec<num_complex::Complex64>, Vec<num_comple
         .panel(effort)
 }
 
+/// Gain margin of each loop on the plant as it is at other biases.
+#[must_use]
+pub fn bias_sweep(points: &[BiasPoint]) -> Figure {
+    let mut gain = Panel::new(Axis::linear("bias, fraction of full-scale voltage"), Axis::linear("static gain, mm per unit"));
+    let mut margin =
+        Panel::new(Axis::linear("bias, fraction of full-scale voltage"), Axis::log("gain margin, factor"));
+    let mut names: Vec<&str> = points.iter().map(|point| point.controller.as_str()).collect();
+    names.dedup();
+    for controller in &names {
+        let (name, colour) = controller_style(controller);
+        let of = |value: &dyn Fn(&BiasPoint) -> f64| -> (Vec<f64>, Vec<f64>) {
+            points.iter().filter(|p| p.controller == *controller).map(|p| (p.bias, value(p))).unzip()
+        };
+        let (x, y) = of(&|p| p.dc_gain_mm_per_unit);
+        gain = gain.series(Series::line(name, x, y, colour));
+        let (x, y) = of(&|p| p.gain_margin.unwrap_or(f64::NAN));
+        margin = margin.series(Series::line(name, x, y, colour));
+    }
+    let ends = (points.iter().map(|p| p.bias).fold(1.0, f64::min), points.iter().map(|p| p.bias).fold(0.0, f64::max));
+    margin = margin.series(Series::level("limit of stability", ends.0, ends.1, 1.0, Colour::Grey));
+    Figure::new("bias-sweep", "Gain margin over the stroke")
+        .caption(
+            "Each loop on the plant as identified with small sines at other biases, with the filter (26). Below 1 the loop is \
+             unstable. Force goes with voltage squared: the square root at the amplifier removes most of the change.",
+        )
+        .shared_x()
+        .panel(gain)
+        .panel(margin)
+}
+
 /// Figures 13, 14 and 15: tracking of the multi-sine.
 #[must_use]
 pub fn tracking(id: &str, title: &str, caption: &str, traces: &Traces, controllers: &[&str]) -> Figure {
@@ -153,12 +202,23 @@ pub fn tracking(id: &str, title: &str, caption: &str, traces: &Traces, controlle
     let mut error = Panel::new(time(), Axis::linear("error, mm"));
     let mut voltage = Panel::new(time(), Axis::linear("voltage, kV").range(-0.2, 5.2));
     if let Some(trace) = controllers.iter().find_map(|c| traces.get(*c)) {
-        output = output.series(Series::line("reference (25)", trace.time_s.clone(), trace.reference.clone(), Colour::Ink));
+        output = output.series(Series::line(
+            "reference (25)",
+            trace.time_s.clone(),
+            trace.reference.clone(),
+            Colour::Ink,
+        ));
     }
     for &controller in controllers {
         let Some(trace) = traces.get(controller) else { continue };
         let (name, colour) = controller_style(controller);
-        output = output.series(Series::dashed(name, trace.time_s.clone(), trace.output.clone(), colour, Dash::Dashed));
+        output = output.series(Series::dashed(
+            name,
+            trace.time_s.clone(),
+            trace.output.clone(),
+            colour,
+            Dash::Dashed,
+        ));
         error = error.series(Series::line(name, trace.time_s.clone(), trace.error(), colour));
         voltage = voltage.series(Series::line(name, trace.time_s.clone(), trace.voltage_kv.clone(), colour));
     }
@@ -185,7 +245,12 @@ pub fn spectrum(frequency_hz: &[f64], amplitude_pa: &[f64], peaks: &[(f64, f64)]
         .caption("The paper's peaks are at 1.172, 2.734 and 3.906 Hz: bins 3, 7 and 10 of a 2.56 s record.")
         .panel(
             Panel::new(Axis::linear("frequency, Hz").range(0.0, 10.0), Axis::linear("amplitude, Pa"))
-                .series(Series::line("spectrum", frequency_hz[..n].to_vec(), amplitude_pa[..n].to_vec(), Colour::Blue))
+                .series(Series::line(
+                    "spectrum",
+                    frequency_hz[..n].to_vec(),
+                    amplitude_pa[..n].to_vec(),
+                    Colour::Blue,
+                ))
                 .series(Series::points(
                     "peaks",
                     peaks.iter().map(|p| p.0).collect(),
@@ -198,10 +263,19 @@ pub fn spectrum(frequency_hz: &[f64], amplitude_pa: &[f64], peaks: &[(f64, f64)]
 
 /// Figures 18 and 20: the pulse as replayed, `unit` being that of the traces.
 #[must_use]
-pub fn replay(id: &str, title: &str, caption: &str, unit: &str, traces: &Traces, from_s: f64, to_s: f64) -> Figure {
+pub fn replay(
+    id: &str,
+    title: &str,
+    caption: &str,
+    unit: &str,
+    traces: &Traces,
+    from_s: f64,
+    to_s: f64,
+) -> Figure {
     let time = || Axis::linear("time, s");
     let mut output = Panel::new(time(), Axis::linear(unit));
-    let mut error = Panel::new(time(), Axis::linear(format!("error, {}", unit.rsplit(' ').next().unwrap_or(unit))));
+    let mut error =
+        Panel::new(time(), Axis::linear(format!("error, {}", unit.rsplit(' ').next().unwrap_or(unit))));
     let mut voltage = Panel::new(time(), Axis::linear("voltage, kV").range(-0.2, 5.2));
     let cut = |trace: &Trace, series: &[f64]| -> Vec<f64> {
         let inside = |t: f64| t >= from_s && t <= to_s;
@@ -212,7 +286,12 @@ pub fn replay(id: &str, title: &str, caption: &str, unit: &str, traces: &Traces,
         let (name, colour) = controller_style(controller);
         let time_s = cut(trace, &trace.time_s);
         if idx == 0 {
-            output = output.series(Series::line("pulse as received", time_s.clone(), cut(trace, &trace.reference), Colour::Ink));
+            output = output.series(Series::line(
+                "pulse as received",
+                time_s.clone(),
+                cut(trace, &trace.reference),
+                Colour::Ink,
+            ));
         }
         let dash = if controller == "best" { Dash::Dashed } else { Dash::Solid };
         output = output.series(Series::dashed(name, time_s.clone(), cut(trace, &trace.output), colour, dash));

@@ -45,6 +45,8 @@ pub fn render(outcome: &Outcome, figures: &[Figure]) -> String {
     page = draw(page, &["fig07-frequency-response", "fig08-uncertainty"]);
     page = design(page, outcome);
     page = draw(page, &["fig12-closed-loop"]);
+    page = stroke(page, outcome);
+    page = draw(page, &["bias-sweep"]);
     page = tracking(page, outcome);
     page = draw(page, &["fig13-tracking", "fig14-pid", "fig15-disturbance-noise"]);
     page = pulse(page, outcome);
@@ -81,7 +83,8 @@ fn summary(outcome: &Outcome) -> ReportPage {
         ),
         Some(status(outcome.synthesis.gamma_achieved <= 0.324)),
     );
-    let certified = outcome.certificates.iter().filter(|(_, c)| c.holds).map(|(n, _)| name(n)).collect::<Vec<_>>();
+    let certified =
+        outcome.certificates.iter().filter(|(_, c)| c.holds).map(|(n, _)| name(n)).collect::<Vec<_>>();
     page = page.summary("Certified controllers", certified.join(", "), Some(status(!certified.is_empty())));
     page.summary(
         "Transmission",
@@ -115,7 +118,15 @@ fn coefficients(values: &[f64]) -> String {
 fn identification(page: ReportPage, outcome: &Outcome) -> ReportPage {
     let mut table = Table::new(
         "Identified third-order model beside the printed one",
-        ["model", "DC gain, mm/unit", "omega_n, rad/s", "zeta", "RC, ms", "rms residual, mm/unit", "points above the bound"],
+        [
+            "model",
+            "DC gain, mm/unit",
+            "omega_n, rad/s",
+            "zeta",
+            "RC, ms",
+            "rms residual, mm/unit",
+            "points above the bound",
+        ],
     )
     .row([
         Cell::text("printed (16), (17)"),
@@ -182,7 +193,11 @@ fn synthesis_row(label: &str, s: &Synthesis) -> [Cell; 8] {
 }
 
 fn certificate_row(controller: &str, c: &CertificateSummary) -> [Cell; 8] {
-    let verdict = if c.holds { "certified".to_owned() } else { format!("uncertified: {}", c.reason.clone().unwrap_or_default()) };
+    let verdict = if c.holds {
+        "certified".to_owned()
+    } else {
+        format!("uncertified: {}", c.reason.clone().unwrap_or_default())
+    };
     [
         Cell::text(name(controller)),
         Cell::check(status(c.holds), verdict),
@@ -198,19 +213,50 @@ fn certificate_row(controller: &str, c: &CertificateSummary) -> [Cell; 8] {
 fn design(page: ReportPage, outcome: &Outcome) -> ReportPage {
     let synthesis = Table::new(
         "S/KS synthesis",
-        ["plant", "gamma", "lower bound", "fastest pole, rad/s", "peak K S", "peak S", "peak T", "bandwidth, Hz"],
+        [
+            "plant",
+            "gamma",
+            "lower bound",
+            "fastest pole, rad/s",
+            "peak K S",
+            "peak S",
+            "peak T",
+            "bandwidth, Hz",
+        ],
     )
     .row(synthesis_row("printed (16)", &outcome.synthesis))
     .row(synthesis_row("identified", &outcome.synthesis_identified))
     .row(synthesis_row("identified, square of the voltage, with filter (26)", &outcome.synthesis_best));
-    let printed = Table::new("Small-gain test with the printed systems", ["quantity", "printed", "recomputed"])
-        .row([Cell::text("norm of M_s, (22)"), Cell::number(1.7687, 5), Cell::number(outcome.printed.norm_ms, 5)])
-        .row([Cell::text("norm of W_s, (17)"), Cell::number(0.2426, 4), Cell::number(outcome.printed.norm_ws, 6)])
-        .row([Cell::text("1/norm of W_s, (24)"), Cell::number(4.1218, 5), Cell::number(outcome.printed.small_gain_limit, 5)])
-        .row([Cell::text("max |W_s K S|"), Cell::Empty, Cell::number(outcome.printed.frequency_wise, 4)]);
+    let printed =
+        Table::new("Small-gain test with the printed systems", ["quantity", "printed", "recomputed"])
+            .row([
+                Cell::text("norm of M_s, (22)"),
+                Cell::number(1.7687, 5),
+                Cell::number(outcome.printed.norm_ms, 5),
+            ])
+            .row([
+                Cell::text("norm of W_s, (17)"),
+                Cell::number(0.2426, 4),
+                Cell::number(outcome.printed.norm_ws, 6),
+            ])
+            .row([
+                Cell::text("1/norm of W_s, (24)"),
+                Cell::number(4.1218, 5),
+                Cell::number(outcome.printed.small_gain_limit, 5),
+            ])
+            .row([Cell::text("max |W_s K S|"), Cell::Empty, Cell::number(outcome.printed.frequency_wise, 4)]);
     let mut certificates = Table::new(
         "Certificates, each on the identified plant of its own input and its own bound, with the filter (26) in the loop",
-        ["controller", "verdict", "norm K S", "norm W_s", "product", "max |W_s K S|", "gain margin", "phase margin, deg"],
+        [
+            "controller",
+            "verdict",
+            "norm K S",
+            "norm W_s",
+            "product",
+            "max |W_s K S|",
+            "gain margin",
+            "phase margin, deg",
+        ],
     );
     for (controller, certificate) in &outcome.certificates {
         certificates = certificates.row(certificate_row(controller, certificate));
@@ -218,6 +264,30 @@ fn design(page: ReportPage, outcome: &Outcome) -> ReportPage {
     page.section("Design and certificate").table(synthesis).table(printed).table(certificates).note(
         "A loop holds its certificate where it is stable and either the norm test (23) or the frequency-wise test is below one.",
     )
+}
+
+fn stroke(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let mut table = Table::new(
+        "Each loop on the plant as it is at other biases, with the filter (26)",
+        ["controller", "bias", "static gain, mm/unit", "omega_n, rad/s", "gain margin", "stable"],
+    );
+    for point in &outcome.bias_sweep {
+        let verdict = if point.stable { "stable" } else { "UNSTABLE" };
+        table = table.row([
+            Cell::text(name(&point.controller)),
+            Cell::number(point.bias, 2),
+            Cell::number(point.dc_gain_mm_per_unit, 4),
+            Cell::number(point.omega_n_rad_s, 4),
+            Cell::optional(point.gain_margin, 3),
+            Cell::check(status(point.stable), verdict),
+        ]);
+    }
+    page.subsection("Over the stroke")
+        .paragraph(
+            "The certificates above hold at the bias and the amplitudes of the sweep. Force goes with voltage squared, so the \
+             plant's gain grows with the bias, and a certificate at one bias says nothing about another.",
+        )
+        .table(table)
 }
 
 fn cell_of(run: Option<&Tracking>, of: impl Fn(&Tracking) -> Option<f64>, digits: usize) -> Cell {
@@ -229,7 +299,9 @@ fn cell_of(run: Option<&Tracking>, of: impl Fn(&Tracking) -> Option<f64>, digits
 }
 
 fn tracking(page: ReportPage, outcome: &Outcome) -> ReportPage {
-    let run = |controller: &str, condition: &str| outcome.tracking.get(controller).and_then(|runs| runs.get(condition));
+    let run = |controller: &str, condition: &str| {
+        outcome.tracking.get(controller).and_then(|runs| runs.get(condition))
+    };
     let mut header = vec!["condition".to_owned(), "the paper".to_owned()];
     header.extend(CONTROLLERS.iter().map(|c| name(c).to_owned()));
     let mut error = Table::new("Table 1: mean absolute error, mm", header.clone());
@@ -245,7 +317,21 @@ fn tracking(page: ReportPage, outcome: &Outcome) -> ReportPage {
         effort = effort.row(row(paper_effort, |run| run.effort_index));
         power = power.row(row(paper_power, |run| run.average_power_w));
     }
-    let mut page = page.section("Tracking of (25)").table(error).table(effort).table(power);
+    let mut noisy = Table::new(
+        "Mean absolute error with the laser's own noise on top, mm",
+        ["condition", "printed K (21)", "own S/KS design", "square root + preview + H-infinity"],
+    );
+    for (condition, label, ..) in TABLE_1 {
+        let of = |controller: &str| {
+            let run = outcome.tracking_laser_noise.get(controller).and_then(|runs| runs.get(condition));
+            cell_of(run, |run| run.mean_abs_error_mm, 3)
+        };
+        noisy = noisy.row([Cell::text(label), of("printed_k"), of("hinf"), of("best")]);
+    }
+    let mut page = page.section("Tracking of (25)").table(error).table(effort).table(power).table(noisy).note(
+        "Where the reference is highest the printed loop is unstable for a second or two (see the stroke table). Without noise \
+         nothing excites it; the laser's noise does, and it bursts into an oscillation once in each period.",
+    );
     for controller in CONTROLLERS {
         if let Some(reason) = run(controller, "normal").and_then(|run| run.unstable_reason.clone()) {
             page = page.note(format!("{}: {reason}", name(controller)));
@@ -260,7 +346,15 @@ fn tracking(page: ReportPage, outcome: &Outcome) -> ReportPage {
 fn pulse(page: ReportPage, outcome: &Outcome) -> ReportPage {
     let mut table = Table::new(
         "Replay of the real pulse",
-        ["mode", "controller", "lag, ms", "NRMSE, %", "NRMSE after delay removal, %", "lowest, V", "highest, V"],
+        [
+            "mode",
+            "controller",
+            "lag, ms",
+            "NRMSE, %",
+            "NRMSE after delay removal, %",
+            "lowest, V",
+            "highest, V",
+        ],
     );
     for mode in ["displacement", "force"] {
         for controller in CONTROLLERS {
@@ -305,7 +399,10 @@ fn pulse(page: ReportPage, outcome: &Outcome) -> ReportPage {
 }
 
 fn closing(page: ReportPage, outcome: &Outcome) -> ReportPage {
-    let mut disagreements = Table::new("What the paper prints and what follows from it", ["item", "printed", "recomputed", "note"]);
+    let mut disagreements = Table::new(
+        "What the paper prints and what follows from it",
+        ["item", "printed", "recomputed", "note"],
+    );
     for row in &outcome.disagreements {
         disagreements = disagreements.row([
             Cell::text(&row.item),
@@ -318,7 +415,8 @@ fn closing(page: ReportPage, outcome: &Outcome) -> ReportPage {
     for row in &outcome.assumptions {
         assumptions = assumptions.row([Cell::text(&row.name), Cell::text(&row.value), Cell::text(&row.why)]);
     }
-    let inputs = outcome.inputs.iter().map(|(name, hash)| format!("{name}: SHA-256 {hash}")).collect::<Vec<_>>();
+    let inputs =
+        outcome.inputs.iter().map(|(name, hash)| format!("{name}: SHA-256 {hash}")).collect::<Vec<_>>();
     page.section("Disagreements")
         .table(disagreements)
         .section("Assumptions")

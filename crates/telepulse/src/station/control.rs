@@ -4,8 +4,9 @@ use anyhow::{Result, ensure};
 use telepulse_design::identify::InputLinearisation as DesignInput;
 use telepulse_design::implement::{self as recipe, ControllerRecipe, Law, ReferencePath};
 use telepulse_rt::{
-    AntiWindup, ComplexMode, ControlLaw, ControlLoop, ControlSettings, ErrorSign, FilterStart, InputLinearisation,
-    Limits, LowPass, ModalDeltaController, Pid, PidAntiWindup, PidGains, RealMode, SensorScale,
+    AntiWindup, ComplexMode, ControlLaw, ControlLoop, ControlSettings, ErrorSign, FilterStart,
+    InputLinearisation, Limits, LowPass, ModalDeltaController, Pid, PidAntiWindup, PidGains, RealMode,
+    SensorScale,
 };
 
 use crate::study::config::Study;
@@ -49,7 +50,11 @@ pub fn open_loop(
 ///
 /// # Errors
 /// Where the recipe was made for another sample time, or asks for more voltage than the study allows.
-pub fn from_recipe(study: &Study, recipe: &ControllerRecipe, sensor_scale: SensorScale) -> Result<ControlLoop> {
+pub fn from_recipe(
+    study: &Study,
+    recipe: &ControllerRecipe,
+    sensor_scale: SensorScale,
+) -> Result<ControlLoop> {
     let settings = recipe.settings();
     let sample_time_s = study.sample_time_s();
     let found_s = settings.sample_time_s.seconds();
@@ -66,7 +71,8 @@ pub fn from_recipe(study: &Study, recipe: &ControllerRecipe, sensor_scale: Senso
         study.control.min_v,
         study.control.max_v
     );
-    let filter = settings.measurement_filter_rad_s.map(|corner| LowPass::new(corner, sample_time_s)).transpose()?;
+    let filter =
+        settings.measurement_filter_rad_s.map(|corner| LowPass::new(corner, sample_time_s)).transpose()?;
     let hold = settings.anti_windup == recipe::AntiWindup::HoldOutward;
     Ok(ControlLoop::new(ControlSettings {
         sample_time_s,
@@ -116,25 +122,5 @@ fn law(law: &Law, anti_windup: recipe::AntiWindup, sample_time_s: f64) -> Result
 /// The feedforward command of a recipe for a whole reference in mm from rest; empty where it has none.
 #[must_use]
 pub fn feedforward(recipe: &ControllerRecipe, reference_mm: &[f64]) -> Vec<f64> {
-    let settings = recipe.settings();
-    let Some(preview) = &settings.feedforward else { return Vec::new() };
-    let point = settings.operating_point;
-    let relative: Vec<f64> = reference_mm.iter().map(|r| r - point.displacement_mm).collect();
-    let shaped = preview.apply(&relative);
-    match &settings.static_inverse {
-        None => shaped,
-        // The curve is absolute; the bias is added again in the cycle.
-        Some(inverse) => shaped.iter().map(|x| inverse.command(x + point.displacement_mm) - point.bias_unit).collect(),
-    }
-}
-
-/// By what right a recipe runs, in a line.
-#[must_use]
-pub fn provenance(recipe: &ControllerRecipe) -> String {
-    match recipe.provenance() {
-        recipe::Provenance::Certified(evidence) => {
-            format!("certified: max |Ws K S| = {:.4}", evidence.certificate.frequency_wise.value)
-        }
-        recipe::Provenance::Uncertified { reason } => format!("UNCERTIFIED: {reason}"),
-    }
+    recipe.settings().feedforward_command(reference_mm).unwrap_or_default()
 }

@@ -1,9 +1,9 @@
 //! The virtual rigs as a study asks for them, and what may be known about them when a run is judged.
 
 use anyhow::{Context, Result};
+use telepulse_actuator::ParameterSet;
 use telepulse_actuator::rig::{DisplacementRig, ForceRig, ForceStep, Laser, RigConditions, SensingSine};
 use telepulse_actuator::twin::TwinModel;
-use telepulse_actuator::ParameterSet;
 use telepulse_pulse::calibration::Plate;
 use telepulse_rt::{MonotonicNs, Sensor, SensorScale};
 
@@ -17,6 +17,8 @@ pub struct Conditions {
     pub disturbance: bool,
     /// The study's sine is on the sensor.
     pub noise: bool,
+    /// The laser shows the study's device without noise and steps of its own.
+    pub ideal_laser: bool,
 }
 
 /// The reduced twin of the study's device.
@@ -41,16 +43,22 @@ pub fn twin_of(set: ParameterSet) -> Result<TwinModel> {
 /// Where a condition is out of range.
 pub fn displacement(study: &Study, twin: &TwinModel, conditions: Conditions) -> Result<DisplacementRig> {
     let typed = &study.conditions;
+    let laser = if conditions.ideal_laser {
+        Laser { noise_rms_mm: 0.0, resolution_mm: 0.0, ..Laser::default() }
+    } else {
+        Laser::default()
+    };
     let conditions = RigConditions {
         disturbance: conditions
             .disturbance
             .then_some(ForceStep { force_n: typed.disturbance_n, start_s: typed.disturbance_start_s }),
-        sensing_noise: conditions
-            .noise
-            .then_some(SensingSine { amplitude_in_sensor_unit: typed.noise_mm, frequency_hz: typed.noise_hz }),
+        sensing_noise: conditions.noise.then_some(SensingSine {
+            amplitude_in_sensor_unit: typed.noise_mm,
+            frequency_hz: typed.noise_hz,
+        }),
         initial_bias_v: 0.0,
     };
-    Ok(DisplacementRig::new(twin, conditions, study.actuator.seed)?)
+    Ok(DisplacementRig::with_laser(twin, laser, conditions, study.actuator.seed)?)
 }
 
 /// The rig whose plate is held by a load cell, at rest.

@@ -82,7 +82,8 @@ pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Re
             Ok::<(Study, TwinModel, PathBuf), anyhow::Error>((study, twin, recipes.clone()))
         })
         .transpose()?;
-    std::fs::create_dir_all(&order.out).with_context(|| format!("cannot make folder {}", order.out.display()))?;
+    std::fs::create_dir_all(&order.out)
+        .with_context(|| format!("cannot make folder {}", order.out.display()))?;
     let listener = Listener::bind(order.listen.as_str())?;
     announce(listener.local_addr()?);
 
@@ -90,8 +91,10 @@ pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Re
     let log_file =
         std::fs::File::create(&log_path).with_context(|| format!("cannot write {}", log_path.display()))?;
     let mut log = BufWriter::new(log_file);
-    let options =
-        ReceiveOptions { total_timeout: Duration::from_secs_f64(order.timeout_s), ..ReceiveOptions::default() };
+    let options = ReceiveOptions {
+        total_timeout: Duration::from_secs_f64(order.timeout_s),
+        ..ReceiveOptions::default()
+    };
     let stream = listener.receive(&options, &mut log, &mut |_| {})?;
     std::io::Write::flush(&mut log).with_context(|| format!("cannot write {}", log_path.display()))?;
 

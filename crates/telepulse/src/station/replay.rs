@@ -92,7 +92,8 @@ fn at_control_rate(study: &Study, recording: &PulseRecording) -> Result<PulseRec
         "the pulse is in {}, allowed is Pa: scale it before it is sent",
         recording.unit().symbol()
     );
-    resample(recording, study.control.sample_rate_hz).context("the pulse cannot be resampled to the control rate")
+    resample(recording, study.control.sample_rate_hz)
+        .context("the pulse cannot be resampled to the control rate")
 }
 
 /// A pulse in Pa as displacement in mm from rest, at the control rate.
@@ -225,7 +226,12 @@ pub fn recipe_name(controller: &str, mode: Mode) -> String {
 ///
 /// # Errors
 /// Where there is no recipe, or one cannot be read or run.
-pub fn replay_all(study: &Study, twin: &TwinModel, recipes: &Path, recording: &PulseRecording) -> Result<Vec<Replayed>> {
+pub fn replay_all(
+    study: &Study,
+    twin: &TwinModel,
+    recipes: &Path,
+    recording: &PulseRecording,
+) -> Result<Vec<Replayed>> {
     let mut jobs = Vec::new();
     for controller in ["printed_k", "hinf", "best"] {
         for mode in [Mode::Displacement, Mode::Force] {
@@ -235,8 +241,15 @@ pub fn replay_all(study: &Study, twin: &TwinModel, recipes: &Path, recording: &P
             }
         }
     }
-    ensure!(!jobs.is_empty(), "{} holds no recipe such as {}", recipes.display(), recipe_name("best", Mode::Force));
-    jobs.iter().map(|(controller, mode, recipe)| replay(study, twin, controller, recipe, recording, *mode)).collect()
+    ensure!(
+        !jobs.is_empty(),
+        "{} holds no recipe such as {}",
+        recipes.display(),
+        recipe_name("best", Mode::Force)
+    );
+    jobs.iter()
+        .map(|(controller, mode, recipe)| replay(study, twin, controller, recipe, recording, *mode))
+        .collect()
 }
 
 /// Reads a recipe.

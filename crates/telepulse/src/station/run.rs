@@ -3,7 +3,8 @@
 use anyhow::{Result, anyhow};
 use serde::Serialize;
 use telepulse_rt::{
-    ControlLoop, CycleInputs, CycleOutput, Drive, MonotonicNs, Sensor, Supervisor, SupervisorSettings, TripReason,
+    ControlLoop, CycleInputs, CycleOutput, Drive, MonotonicNs, Sensor, Supervisor, SupervisorSettings,
+    TripReason,
 };
 
 /// What may be known about a virtual rig when a run is judged. No controller and no identification sees it.

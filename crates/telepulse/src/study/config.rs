@@ -268,7 +268,8 @@ impl Study {
     /// Names the file, and the key or line, what was found and what is allowed.
     pub fn load(path: &Path) -> Result<Self> {
         let file = if path.is_dir() { path.join("study.toml") } else { path.to_path_buf() };
-        let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let text =
+            std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
         let mut study: Self = toml::from_str(&text).with_context(|| format!("in {}", file.display()))?;
         study.folder = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
         study.check().with_context(|| format!("in {}", file.display()))?;
@@ -297,7 +298,10 @@ impl Study {
             self.name
         );
         within("identify.bias", self.identify.bias, 0.01, 0.99)?;
-        ensure!(!self.identify.amplitudes.is_empty(), "key `identify.amplitudes`: found none, allowed one or more");
+        ensure!(
+            !self.identify.amplitudes.is_empty(),
+            "key `identify.amplitudes`: found none, allowed one or more"
+        );
         for &amplitude in &self.identify.amplitudes {
             let room = self.identify.bias.min(1.0 - self.identify.bias);
             within("identify.amplitudes", amplitude, 1e-3, room)?;
@@ -345,7 +349,10 @@ impl Study {
         if let Some(own) = &self.plant {
             own.nominal.to_transfer_function("plant.nominal")?;
             let bound = own.uncertainty.to_transfer_function("plant.uncertainty")?;
-            ensure!(bound.is_stable()?, "key `plant.uncertainty`: found an unstable pole, allowed stable systems");
+            ensure!(
+                bound.is_stable()?,
+                "key `plant.uncertainty`: found an unstable pole, allowed stable systems"
+            );
         }
         Ok(())
     }

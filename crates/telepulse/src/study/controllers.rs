@@ -29,8 +29,10 @@ pub fn synthesize(study: &Study, plant: &TransferFunction) -> Result<Design> {
     let error_weight = study.weights.error.to_transfer_function("weights.error")?;
     let control_weight = study.weights.control.to_transfer_function("weights.control")?;
     let weights = MixedSensitivityWeights { we: &error_weight, wu: &control_weight, wt: None };
-    let generalized = mixed_sensitivity(plant, &weights).context("the mixed-sensitivity problem cannot be posed")?;
-    let options = HinfOptions { max_controller_pole_rad_s: Some(FASTEST_POLE_RAD_S), ..HinfOptions::default() };
+    let generalized =
+        mixed_sensitivity(plant, &weights).context("the mixed-sensitivity problem cannot be posed")?;
+    let options =
+        HinfOptions { max_controller_pole_rad_s: Some(FASTEST_POLE_RAD_S), ..HinfOptions::default() };
     let design = hinfsyn(&generalized, &options).context("no H-infinity controller")?;
     // The peaks of the loop as designed; the bound plays no part in them.
     let zero = TransferFunction::from_gain(0.0)?;
@@ -47,7 +49,9 @@ pub fn synthesize(study: &Study, plant: &TransferFunction) -> Result<Design> {
         peak_ks: certificate.peak_ks.value,
         peak_s: certificate.peak_s.value,
         peak_t: certificate.peak_t.value,
-        bandwidth_hz: certificate.bandwidth_hz.context("the loop has no bandwidth: T never falls through -3 dB")?,
+        bandwidth_hz: certificate
+            .bandwidth_hz
+            .context("the loop has no bandwidth: T never falls through -3 dB")?,
     };
     Ok(Design { controller: design.controller, summary })
 }
@@ -91,7 +95,9 @@ impl Certified {
                 phase_margin_deg: c.phase_margin.as_ref().map(|margin| margin.degrees),
                 closed_loop_poles_rad_s: c.closed_loop_poles.iter().map(|p| (p.re, p.im)).collect(),
             },
-            Self::Refused(reason) => CertificateSummary { reason: Some(reason.clone()), ..CertificateSummary::default() },
+            Self::Refused(reason) => {
+                CertificateSummary { reason: Some(reason.clone()), ..CertificateSummary::default() }
+            }
         }
     }
 }
@@ -102,8 +108,16 @@ impl Certified {
 /// Where the model holds no bound.
 pub fn certify(study: &Study, model: &PlantModel, controller: &StateSpace<Continuous>) -> Result<Certified> {
     let filter = measurement_filter(study)?;
-    let bound = model.uncertainty.as_ref().context("the model holds no `uncertainty`: nothing can be certified with it")?;
-    let judged = verify(&LoopUnderTest { plant: &model.nominal, controller, bound, measurement_filter: Some(&filter) });
+    let bound = model
+        .uncertainty
+        .as_ref()
+        .context("the model holds no `uncertainty`: nothing can be certified with it")?;
+    let judged = verify(&LoopUnderTest {
+        plant: &model.nominal,
+        controller,
+        bound,
+        measurement_filter: Some(&filter),
+    });
     Ok(match judged {
         Ok(certificate) => Certified::Judged(Box::new(certificate)),
         Err(error) => Certified::Refused(error.to_string()),

@@ -101,7 +101,10 @@ pub fn list(study: &Study, recomputed: Recomputed) -> Result<Vec<Disagreement>> 
     row(
         "Optimality of (21)",
         "from hinfsyn".into(),
-        format!("reaches {:.4}; no controller gets below {:.4}", recomputed.gamma_printed, recomputed.gamma_lower),
+        format!(
+            "reaches {:.4}; no controller gets below {:.4}",
+            recomputed.gamma_printed, recomputed.gamma_lower
+        ),
         "With the printed plant and weights a better controller exists in every printed measure.",
     );
     row(
@@ -146,7 +149,9 @@ pub fn list(study: &Study, recomputed: Recomputed) -> Result<Vec<Disagreement>> 
     row(
         "Auto-tuned PID",
         "lost stability on the rig".into(),
-        format!("stable on (16), slowest pole {auto:.1} rad/s; peak of K S {peak_ks:.0} against a limit of 4.12"),
+        format!(
+            "stable on (16), slowest pole {auto:.1} rad/s; peak of K S {peak_ks:.0} against a limit of 4.12"
+        ),
         "Stable on paper and not robust: a hundred times over the small-gain limit.",
     );
     for (item, printed, corrected, note) in TEXTUAL {
@@ -163,12 +168,7 @@ const TEXTUAL: [(&str, &str, &str, &str); 5] = [
         "m x'' = m g - F(x, Phi) - c x'",
         "As printed the membrane pushes the plate away; 2 pi mu H and the voltage's scaling are missing as well, and (8) has no input.",
     ),
-    (
-        "Circuit (6), (9)",
-        "- u/(Rc C)",
-        "+ u/(Rc C)",
-        "(7), (10) and (14) have the right sign.",
-    ),
+    ("Circuit (6), (9)", "- u/(Rc C)", "+ u/(Rc C)", "(7), (10) and (14) have the right sign."),
     (
         "Linearisation (10)-(13)",
         "about u = 0",
@@ -218,7 +218,6 @@ fn closed_loop_features(magnitude: impl Fn(f64) -> f64) -> (f64, f64, f64, f64, 
 fn peak(magnitude: impl Fn(f64) -> f64) -> f64 {
     (0..70_000).map(|idx| 0.01 * 10.0_f64.powf(f64::from(idx) * 1e-4)).map(magnitude).fold(0.0, f64::max)
 }
-
 
 /// Real part of the rightmost pole of the loop of `plant` and PID.
 fn slowest_pole(plant: &TransferFunction, pid: &Pid) -> Result<f64> {

@@ -2,8 +2,9 @@
 
 use anyhow::{Result, bail};
 use telepulse_design::identify::{
-    BoundShape, CoverOptions, FitOptions, InputLinearisation, ModelProvenance, PlantModel, RcPole, Residual, SweepOptions, SweepPlan, SweepRecord,
-    ThirdOrderFit, UncertaintyBound, Weighting, cap_additive_error, fit_third_order, log_spaced,
+    BoundShape, CoverOptions, FitOptions, InputLinearisation, ModelProvenance, PlantModel, RcPole, Residual,
+    SweepOptions, SweepPlan, SweepRecord, ThirdOrderFit, UncertaintyBound, Weighting, cap_additive_error,
+    fit_third_order, log_spaced,
 };
 use telepulse_lti::TransferFunction;
 use telepulse_rt::{ControlLaw, CycleInputs, Drive, Sensor, SensorScale};
@@ -33,7 +34,11 @@ pub struct Identification {
 pub fn sweep_plan(study: &Study) -> Result<SweepPlan> {
     let identify = &study.identify;
     Ok(SweepPlan::new(&SweepOptions {
-        frequencies_hz: log_spaced(identify.frequency_min_hz, identify.frequency_max_hz, identify.n_frequencies),
+        frequencies_hz: log_spaced(
+            identify.frequency_min_hz,
+            identify.frequency_max_hz,
+            identify.n_frequencies,
+        ),
         amplitudes: identify.amplitudes.clone(),
         bias: identify.bias,
         sample_rate_hz: study.control.sample_rate_hz,
@@ -41,9 +46,7 @@ pub fn sweep_plan(study: &Study) -> Result<SweepPlan> {
     })?)
 }
 
-/// Runs the sweep on a rig, through the same cycle as every other run, without feedback.
-///
-/// The command is the voltage or, with the square root, its square; `scale` makes the response from the sensor's reading.
+/// Runs the study's sweep on a rig; see [`run_sweep`].
 ///
 /// # Errors
 /// Where the rig trips, or a window holds no usable line.
@@ -53,10 +56,26 @@ pub fn sweep<R: Sensor + Drive>(
     scale: SensorScale,
     input: InputLinearisation,
 ) -> Result<SweepRecord> {
-    let plan = sweep_plan(study)?;
+    run_sweep(rig, study, &sweep_plan(study)?, scale, input, study.identify.bias)
+}
+
+/// Runs a sweep on a rig, through the same cycle as every other run, without feedback.
+///
+/// The command is the voltage or, with the square root, its square; `scale` makes the response from the sensor's reading.
+///
+/// # Errors
+/// Where the rig trips, or a window holds no usable line.
+pub fn run_sweep<R: Sensor + Drive>(
+    rig: &mut R,
+    study: &Study,
+    plan: &SweepPlan,
+    scale: SensorScale,
+    input: InputLinearisation,
+    bias: f64,
+) -> Result<SweepRecord> {
     let mut control = open_loop(study, scale, linearisation(input), ControlLaw::OpenLoop)?;
     let full_scale_v = study.control.max_v;
-    let mut windows = Windows::new(&plan);
+    let mut windows = Windows::new(plan);
     let inputs = plan.drive().map(|feedforward| CycleInputs { reference: 0.0, feedforward });
     let trip = tick_through(rig, &mut control, inputs, ErrorWatch::OFF, |tick_idx, output, _| {
         windows.take(tick_idx, input.command(output.voltage_v / full_scale_v), output.measured);
@@ -66,7 +85,7 @@ pub fn sweep<R: Sensor + Drive>(
     }
     let points = windows.finished?;
     // The controller is designed for the continuous plant; the hold belongs to the sampled implementation.
-    Ok(SweepRecord::new(points, Some(study.identify.bias))?.without_hold(study.control.sample_rate_hz)?)
+    Ok(SweepRecord::new(points, Some(bias))?.without_hold(study.control.sample_rate_hz)?)
 }
 
 /// Keeps the measured window of one sine at a time: a whole sweep would be hundreds of megabytes.
@@ -109,6 +128,10 @@ const BOUND_MARGIN: f64 = 1.05;
 
 /// Fits a third-order model to a sweep and bounds its error.
 ///
+/// The nominal plant is fitted to the smallest amplitude, the one nearest to the linearisation (10); what the larger ones
+/// differ is uncertainty, and the bound covers every point of every amplitude. With too few frequencies at the smallest
+/// amplitude all points are fitted.
+///
 /// # Errors
 /// Where the sweep does not determine a model, or no bound of second order exists.
 pub fn identify(record: SweepRecord, rc: RcTime) -> Result<Identification> {
@@ -116,12 +139,23 @@ pub fn identify(record: SweepRecord, rc: RcTime) -> Result<Identification> {
         RcTime::Known(rc_s) => RcPole::Known(rc_s),
         RcTime::Free(_) => RcPole::Free,
     };
-    let options =
-        FitOptions { rc, residual: Residual::Complex, weighting: Weighting::Relative, ..FitOptions::default() };
-    let fit = fit_third_order(&record, &options)?;
-    let magnitude_fit = fit_third_order(&record, &FitOptions { residual: Residual::MagnitudeOnly, ..options })?;
+    let options = FitOptions {
+        rc,
+        residual: Residual::Complex,
+        weighting: Weighting::Relative,
+        ..FitOptions::default()
+    };
+    let nominal = smallest_amplitude(&record);
+    let fit = fit_third_order(&nominal, &options)?;
+    let magnitude_fit = fit_third_order(&nominal, &FitOptions { residual: Residual::MagnitudeOnly, ..options })?;
     let bound = bound(&record, &fit.transfer_function)?;
     Ok(Identification { record, fit, bound, magnitude_fit })
+}
+
+fn smallest_amplitude(record: &SweepRecord) -> SweepRecord {
+    let smallest = record.amplitudes().into_iter().fold(f64::INFINITY, f64::min);
+    let points = record.points().iter().filter(|point| point.amplitude == smallest).copied().collect();
+    SweepRecord::new(points, record.bias()).unwrap_or_else(|_| record.clone())
 }
 
 /// Bounds the additive error of a model over a sweep by a weight of second order, as (17).
@@ -129,7 +163,11 @@ pub fn identify(record: SweepRecord, rc: RcTime) -> Result<Identification> {
 /// # Errors
 /// Where no such bound exists.
 pub fn bound(record: &SweepRecord, model: &TransferFunction) -> Result<UncertaintyBound> {
-    let options = CoverOptions { shape: BoundShape::ConstantNumerator, margin: BOUND_MARGIN, ..CoverOptions::default() };
+    let options = CoverOptions {
+        shape: BoundShape::ConstantNumerator,
+        margin: BOUND_MARGIN,
+        ..CoverOptions::default()
+    };
     Ok(cap_additive_error(record, model, &options)?)
 }
 

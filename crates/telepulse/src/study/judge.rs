@@ -23,7 +23,10 @@ pub fn instability(
     max_v: f64,
 ) -> Option<String> {
     if let Some(trip) = &run.trip {
-        return Some(format!("the supervisor ended the run after {:.2} s: {trip}", run.len() as f64 * run.sample_time_s));
+        return Some(format!(
+            "the supervisor ended the run after {:.2} s: {trip}",
+            run.len() as f64 * run.sample_time_s
+        ));
     }
     let voltage = &run.voltage_v[window_start..];
     let share = |at_end: &dyn Fn(f64) -> bool| {
@@ -44,7 +47,8 @@ pub fn instability(
         swing += (r - mean).powi(2);
         error += (r - y).powi(2);
     }
-    (error > swing).then(|| format!("oscillation: the error is {:.1} times the reference", (error / swing).sqrt()))
+    (error > swing)
+        .then(|| format!("oscillation: the error is {:.1} times the reference", (error / swing).sqrt()))
 }
 
 /// The figures of Table 1 over the window that starts at `window_start`, in ticks. `truth` is in the reference's unit (mm).
@@ -84,7 +88,12 @@ pub fn replay(
 ) -> Result<PulseReplay> {
     let recording = recording.to_owned();
     if let Some(reason) = instability(run, window_start, controlled, limits_v.0, limits_v.1) {
-        return Ok(PulseReplay { recording, unstable: true, unstable_reason: Some(reason), ..PulseReplay::default() });
+        return Ok(PulseReplay {
+            recording,
+            unstable: true,
+            unstable_reason: Some(reason),
+            ..PulseReplay::default()
+        });
     }
     let upright = |series: &[f64]| series[window_start..].iter().map(|x| sign * x).collect::<Vec<f64>>();
     let (wanted, found) = (upright(&run.reference), upright(controlled));

@@ -64,7 +64,8 @@ pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Res
     let voltage = identify(voltage, study.identify.rc_s).context("the displacement sweep")?;
     let rc = RcTime::Known(voltage.fit.rc_s);
     Ok(Models {
-        square_root: identify(square_root, rc).context("the displacement sweep with the square of the voltage")?,
+        square_root: identify(square_root, rc)
+            .context("the displacement sweep with the square of the voltage")?,
         force_voltage: HeldModel::fit(force_voltage, voltage.fit.rc_s).context("the force sweep")?,
         force_square_root: HeldModel::fit(force_square_root, voltage.fit.rc_s)
             .context("the force sweep with the square of the voltage")?,

@@ -39,6 +39,10 @@ pub struct Outcome {
     pub step: StepOutcome,
     /// By controller, then condition.
     pub tracking: BTreeMap<String, BTreeMap<String, Tracking>>,
+    /// The same with the laser's own noise on top: by controller, then condition.
+    pub tracking_laser_noise: BTreeMap<String, BTreeMap<String, Tracking>>,
+    /// Each loop on the plant as identified at other biases.
+    pub bias_sweep: Vec<BiasPoint>,
     /// By controller, then mode.
     pub pulse: BTreeMap<String, BTreeMap<String, PulseReplay>>,
     /// Spectrum of the pulse.
@@ -131,6 +135,24 @@ pub struct CertificateSummary {
     pub phase_margin_deg: Option<f64>,
     /// Closed-loop poles as pairs of real and imaginary part, rad/s.
     pub closed_loop_poles_rad_s: Vec<(f64, f64)>,
+}
+
+/// A controller on the plant as it is at one bias.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct BiasPoint {
+    /// Bias of the drive, fraction of full-scale voltage.
+    pub bias: f64,
+    /// Name of the controller.
+    pub controller: String,
+    /// Static gain of the plant there, mm per unit of the controller's command.
+    pub dc_gain_mm_per_unit: f64,
+    /// Natural frequency of the plant there.
+    pub omega_n_rad_s: f64,
+    /// Factor by which the loop gain can rise, with the filter (26) in the loop; below 1 where it had to fall; absent where
+    /// infinite.
+    pub gain_margin: Option<f64>,
+    /// Whether the loop is stable there.
+    pub stable: bool,
 }
 
 /// Figure 9: a step of full scale.

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, ensure};
-use telepulse_design::identify::PlantModel;
+use telepulse_design::identify::{InputLinearisation, PlantModel};
 use telepulse_design::implement::{
-    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Law, OperatingPoint, PreviewOptions, RecipeSettings,
-    ReferencePath, preview_feedforward, realize_continuous,
+    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Law, OperatingPoint, PreviewOptions,
+    RecipeSettings, ReferencePath, preview_feedforward, realize_continuous,
 };
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
@@ -39,6 +39,8 @@ pub struct Loop {
     pub controller_name: String,
     /// Its model.
     pub plant: TransferFunction,
+    /// What its command is.
+    pub input: InputLinearisation,
     /// The controller.
     pub controller: StateSpace<Continuous>,
     /// The filter in the measurement.
@@ -70,9 +72,10 @@ pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
         let recipe = linear_recipe(model, controller, settings(study, model)?, &certified)?;
         out.add(name, mode, recipe, certified);
     }
-    for (controller, model, mode) in
-        [(&best.controller, &squared, Mode::Displacement), (&best_force.controller, &held_squared, Mode::Force)]
-    {
+    for (controller, model, mode) in [
+        (&best.controller, &squared, Mode::Displacement),
+        (&best_force.controller, &held_squared, Mode::Force),
+    ] {
         let certified = certify(study, model, controller)?;
         let recipe = linear_recipe(model, controller, preview_settings(study, model)?, &certified)?;
         out.add("best", mode, recipe, certified);
@@ -80,14 +83,19 @@ pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
     for (name, typed) in [("pid_auto", &study.pid.auto), ("pid_manual", &study.pid.manual)] {
         let controller = typed.settings().transfer_function()?.to_state_space();
         let certified = certify(study, &displacement, &controller)?;
-        let reason = certified.objection().unwrap_or_else(|| "a PID law is not realised from its certificate".into());
-        let recipe =
-            ControllerRecipe::uncertified(&reason, Law::Pid(typed.settings()), settings(study, &displacement)?)?;
+        let reason =
+            certified.objection().unwrap_or_else(|| "a PID law is not realised from its certificate".into());
+        let recipe = ControllerRecipe::uncertified(
+            &reason,
+            Law::Pid(typed.settings()),
+            settings(study, &displacement)?,
+        )?;
         out.add(name, Mode::Displacement, recipe, certified);
     }
     let shown = |name: &str, model: &PlantModel, controller: &StateSpace<Continuous>| Loop {
         controller_name: name.to_owned(),
         plant: model.nominal.clone(),
+        input: model.input_linearisation,
         controller: controller.clone(),
         filter: filter.clone(),
     };

@@ -13,12 +13,13 @@ use telepulse_lti::{StateSpace, TransferFunction};
 use telepulse_pulse::spectrum::{Spectrum as LineSpectrum, Window};
 
 use super::config::Study;
+use super::bias_sweep;
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
 use super::models::{self, Models};
-use super::outcome::{Assumption, Outcome, Printed, Spectrum, StepOutcome};
+use super::outcome::{Assumption, BiasPoint, Outcome, Printed, Spectrum, StepOutcome, Tracking};
 use super::recipes::{self, Recipes};
-use super::tracking::{self, CONDITIONS, Step, Tracked};
+use super::tracking::{self, CONDITIONS, LaserNoise, Step, Tracked};
 use super::transmission::{self, Transmitted};
 use crate::artefact::{self, StagedFolder};
 use crate::figure::Figure;
@@ -58,8 +59,15 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
 
     bar.set_message("transmission, replay and tracking");
     let program = std::env::current_exe().context("this program's own file is not known")?;
-    let link = transmission::start(study, &program, &staged.path().join("recipes"), &staged.path().join("doctor"))?;
-    let tracked = tracking::track_all(study, &twin, &recipes.displacement, &|| bar.inc(1))?;
+    let link =
+        transmission::start(study, &program, &staged.path().join("recipes"), &staged.path().join("doctor"))?;
+    let all: Vec<_> = recipes.displacement.iter().collect();
+    let linear: Vec<_> = all.iter().copied().filter(|(name, _)| !name.starts_with("pid")).collect();
+    let tracked = Runs {
+        table_1: tracking::track_all(study, &twin, &all, LaserNoise::OnlyTheCondition, &|| bar.inc(1))?,
+        laser_noise: tracking::track_all(study, &twin, &linear, LaserNoise::AsAssumed, &|| bar.inc(1))?,
+        bias_sweep: bias_sweep::run(study, &twin, models.voltage.fit.rc_s, &recipes.loops)?,
+    };
     let steps = [
         ("twin A, fitted to (16)", tracking::step(study, ParameterSet::A)?),
         ("twin B, fitted to figure 9", tracking::step(study, ParameterSet::B)?),
@@ -76,8 +84,15 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     Ok(Finished { outcome, folder })
 }
 
-/// Steps of the progress bar: twin, sweeps, design, twenty tracking runs, link.
-const N_STEPS: u64 = 1 + models::N_SWEEPS + 1 + 20 + 1;
+/// Steps of the progress bar: twin, sweeps, design, tracking runs, link.
+const N_STEPS: u64 = 1 + models::N_SWEEPS + 1 + 20 + 12 + 1;
+
+/// What was run while the link was at work.
+struct Runs {
+    table_1: Vec<Tracked>,
+    laser_noise: Vec<Tracked>,
+    bias_sweep: Vec<BiasPoint>,
+}
 
 fn progress_bar() -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:32} {pos:>2}/{len} {msg} [{elapsed}]")
@@ -86,7 +101,12 @@ fn progress_bar() -> ProgressBar {
 }
 
 /// Models, sweeps and recipes as files: what a later stage, or a user, starts from.
-fn write_inputs_of_later_stages(study: &Study, folder: &Path, models: &Models, recipes: &Recipes) -> Result<()> {
+fn write_inputs_of_later_stages(
+    study: &Study,
+    folder: &Path,
+    models: &Models,
+    recipes: &Recipes,
+) -> Result<()> {
     let json = |name: &str, value: Vec<u8>| artefact::write_file(&folder.join(name), &value);
     for (name, model) in models::MODEL_FILES.iter().zip(models.plants(study)?) {
         json(name, serde_json::to_vec_pretty(&model)?)?;
@@ -138,7 +158,7 @@ fn assemble(
     study: &Study,
     models: &Models,
     recipes: &Recipes,
-    tracked: &[Tracked],
+    runs: &Runs,
     steps: &[(&str, Step); 2],
     transmitted: &Transmitted,
 ) -> Result<(Outcome, Vec<Figure>)> {
@@ -172,20 +192,15 @@ fn assemble(
             at_10_s_mm: at(&steps[0].1, 10.0)?,
             printed_model_mm: model_step_mm,
         },
-        tracking: BTreeMap::new(),
+        tracking: by_controller(&runs.table_1),
+        tracking_laser_noise: by_controller(&runs.laser_noise),
+        bias_sweep: runs.bias_sweep.clone(),
         pulse: BTreeMap::new(),
         pulse_spectrum,
         link: transmitted.link.clone(),
         disagreements: list,
         assumptions: assumptions(study),
     };
-    for run in tracked {
-        outcome
-            .tracking
-            .entry(run.controller.clone())
-            .or_default()
-            .insert(run.condition.to_owned(), run.result.clone());
-    }
     for replay in &transmitted.replays {
         outcome
             .pulse
@@ -199,10 +214,19 @@ fn assemble(
         figures::uncertainty(&models.voltage.bound, &printed.uncertainty),
         closed_loop_figure(&recipes.loops)?,
     ];
-    drawings.extend(tracking_figures(tracked));
+    drawings.push(figures::bias_sweep(&runs.bias_sweep));
+    drawings.extend(tracking_figures(&runs.table_1));
     drawings.extend(pulse_figures);
     drawings.extend(replay_figures(transmitted));
     Ok((outcome, drawings))
+}
+
+fn by_controller(runs: &[Tracked]) -> BTreeMap<String, BTreeMap<String, Tracking>> {
+    let mut sorted: BTreeMap<String, BTreeMap<String, Tracking>> = BTreeMap::new();
+    for run in runs {
+        sorted.entry(run.controller.clone()).or_default().insert(run.condition.to_owned(), run.result.clone());
+    }
+    sorted
 }
 
 fn judge_printed(
@@ -221,7 +245,8 @@ fn judge_printed(
     let filtered = certify(study, &printed.model(study)?, &printed.controller)?;
     let we = study.weights.error.to_transfer_function("weights.error")?;
     let wu = study.weights.control.to_transfer_function("weights.control")?;
-    let generalized = mixed_sensitivity(&printed.plant, &MixedSensitivityWeights { we: &we, wu: &wu, wt: None })?;
+    let generalized =
+        mixed_sensitivity(&printed.plant, &MixedSensitivityWeights { we: &we, wu: &wu, wt: None })?;
     let stacked = telepulse_lti::hinf_norm(&generalized.lower_lft(&printed.controller)?)?;
     let margin = |c: &telepulse_design::verify::Certificate| c.gain_margin.as_ref().map(|m| m.factor);
     let gain_margin_filtered = match &filtered {
@@ -252,7 +277,11 @@ fn step_figure(steps: &[(&str, Step)], model: &TransferFunction) -> Result<Figur
         .iter()
         .map(|(name, step)| {
             let kept = || (0..step.time_s.len()).step_by(4).take_while(|k| step.time_s[*k] <= shown_s);
-            ((*name).to_owned(), kept().map(|k| step.time_s[k]).collect(), kept().map(|k| step.displacement_mm[k]).collect())
+            (
+                (*name).to_owned(),
+                kept().map(|k| step.time_s[k]).collect(),
+                kept().map(|k| step.displacement_mm[k]).collect(),
+            )
         })
         .collect();
     let response = model.to_state_space().step_response(0, shown_s, telepulse_lti::SampleTime::new(2e-3)?)?;
@@ -268,7 +297,8 @@ fn closed_loop_figure(loops: &[recipes::Loop]) -> Result<Figure> {
             let (mut t, mut ks) = (Vec::with_capacity(hz.len()), Vec::with_capacity(hz.len()));
             for hz in &hz {
                 let omega = TAU * hz;
-                let (g, k, f) = (one.plant.at(omega), one.controller.at(omega)?[(0, 0)], one.filter.at(omega));
+                let (g, k, f) =
+                    (one.plant.at(omega), one.controller.at(omega)?[(0, 0)], one.filter.at(omega));
                 let sensitivity = 1.0 / (1.0 + g * k * f);
                 t.push(g * k * sensitivity);
                 ks.push(k * sensitivity);
@@ -281,7 +311,11 @@ fn closed_loop_figure(loops: &[recipes::Loop]) -> Result<Figure> {
 
 fn tracking_figures(tracked: &[Tracked]) -> Vec<Figure> {
     let traces = |condition: &str| -> figures::Traces {
-        tracked.iter().filter(|run| run.condition == condition).map(|run| (run.controller.clone(), run.trace.clone())).collect()
+        tracked
+            .iter()
+            .filter(|run| run.condition == condition)
+            .map(|run| (run.controller.clone(), run.trace.clone()))
+            .collect()
     };
     let main = ["printed_k", "hinf", "best"];
     vec![
@@ -343,7 +377,12 @@ fn pulse_figures(study: &Study) -> Result<(Spectrum, Vec<Figure>)> {
 
 fn replay_figures(transmitted: &Transmitted) -> Vec<Figure> {
     let traces = |mode: Mode| -> figures::Traces {
-        transmitted.replays.iter().filter(|r| r.mode == mode).map(|r| (r.controller.clone(), r.trace.clone())).collect()
+        transmitted
+            .replays
+            .iter()
+            .filter(|r| r.mode == mode)
+            .map(|r| (r.controller.clone(), r.trace.clone()))
+            .collect()
     };
     let displacement = traces(Mode::Displacement);
     vec![
@@ -399,7 +438,11 @@ fn assumptions(study: &Study) -> Vec<Assumption> {
         ),
         own(
             "constant disturbance",
-            format!("{} mN from {} s on", 1e3 * study.conditions.disturbance_n, study.conditions.disturbance_start_s),
+            format!(
+                "{} mN from {} s on",
+                1e3 * study.conditions.disturbance_n,
+                study.conditions.disturbance_start_s
+            ),
             "its size is not given; it stands when the judged window begins",
         ),
         own("sample rate", format!("{} Hz", study.control.sample_rate_hz), "not given"),
@@ -413,7 +456,11 @@ fn assumptions(study: &Study) -> Vec<Assumption> {
             format!("{} s after {} s", study.reference.window_s, study.reference.settle_s),
             "one common period of the three sines, after the start transient",
         ),
-        own("errors", "true output against reference".into(), "the paper does not say whether its errors include the sensor's noise"),
+        own(
+            "errors",
+            "true output against reference".into(),
+            "the paper does not say whether its errors include the sensor's noise",
+        ),
     ];
     list.extend(rig_assumptions().iter().map(|a| own(a.name, format!("{} {}", a.value, a.unit), a.reason)));
     list
@@ -424,10 +471,15 @@ impl Finished {
     #[must_use]
     pub fn passed(&self) -> bool {
         let outcome = &self.outcome;
-        let certified = ["hinf", "best"].iter().all(|name| outcome.certificates.get(*name).is_some_and(|c| c.holds));
-        let stable = CONDITIONS
-            .iter()
-            .all(|(condition, _)| outcome.tracking.get("best").and_then(|runs| runs.get(*condition)).is_some_and(|run| !run.unstable));
+        let certified =
+            ["hinf", "best"].iter().all(|name| outcome.certificates.get(*name).is_some_and(|c| c.holds));
+        let stable = CONDITIONS.iter().all(|(condition, _)| {
+            outcome
+                .tracking
+                .get("best")
+                .and_then(|runs| runs.get(*condition))
+                .is_some_and(|run| !run.unstable)
+        });
         outcome.identified.bound_violations == 0 && outcome.link.bit_exact && certified && stable
     }
 
@@ -451,25 +503,42 @@ impl Finished {
                 },
             )
         };
-        let certified: Vec<&str> = o.certificates.iter().filter(|(_, c)| c.holds).map(|(name, _)| name.as_str()).collect();
+        let certified: Vec<&str> =
+            o.certificates.iter().filter(|(_, c)| c.holds).map(|(name, _)| name.as_str()).collect();
         vec![
             o.title.clone(),
             format!(
                 "identified   {:.4} mm/unit, {:.2} rad/s, zeta {:.3}; bound above all {} points",
-                o.identified.dc_gain_mm_per_unit, o.identified.omega_n_rad_s, o.identified.zeta, o.identified.bound_points
+                o.identified.dc_gain_mm_per_unit,
+                o.identified.omega_n_rad_s,
+                o.identified.zeta,
+                o.identified.bound_points
             ),
             format!(
                 "synthesis    gamma {:.5} on the printed plant (no controller below {:.5}; the printed K: 0.5728)",
                 o.synthesis.gamma_achieved, o.synthesis.gamma_lower
             ),
             format!("certified    {}", certified.join(", ")),
-            format!("tracking     printed K {}, own S/KS {}, best {}", error("printed_k"), error("hinf"), error("best")),
+            format!(
+                "tracking     printed K {}, own S/KS {}, best {}",
+                error("printed_k"),
+                error("hinf"),
+                error("best")
+            ),
             format!(
                 "link         {} samples, lost {}, duplicated {}, out of order {}, bit exact {}",
                 o.link.received, o.link.lost, o.link.duplicated, o.link.out_of_order, o.link.bit_exact
             ),
-            format!("pulse        printed K: {}; best: {}", replay("printed_k", "displacement"), replay("best", "displacement")),
-            format!("pulse force  printed K: {}; best: {}", replay("printed_k", "force"), replay("best", "force")),
+            format!(
+                "pulse        printed K: {}; best: {}",
+                replay("printed_k", "displacement"),
+                replay("best", "displacement")
+            ),
+            format!(
+                "pulse force  printed K: {}; best: {}",
+                replay("printed_k", "force"),
+                replay("best", "force")
+            ),
             format!("report       {}", self.folder.join("report.html").display()),
             format!(
                 "numbers      {}   figures {}",

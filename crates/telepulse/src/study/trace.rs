@@ -21,7 +21,13 @@ pub struct Trace {
 impl Trace {
     /// Every few ticks of three series of equal length, from tick `start` on.
     #[must_use]
-    pub fn thin(reference: &[f64], output: &[f64], voltage_v: &[f64], sample_time_s: f64, start: usize) -> Self {
+    pub fn thin(
+        reference: &[f64],
+        output: &[f64],
+        voltage_v: &[f64],
+        sample_time_s: f64,
+        start: usize,
+    ) -> Self {
         let stride = ((1.0 / (sample_time_s * TRACE_RATE_HZ)).round() as usize).max(1);
         let n = reference.len().min(output.len()).min(voltage_v.len());
         let kept = || (start..n).step_by(stride);

@@ -17,11 +17,20 @@ use crate::station::run::{ErrorWatch, RunPlan, run};
 
 /// The four conditions of Table 1.
 pub const CONDITIONS: [(&str, Conditions); 4] = [
-    ("normal", Conditions { disturbance: false, noise: false }),
-    ("disturbance", Conditions { disturbance: true, noise: false }),
-    ("noise", Conditions { disturbance: false, noise: true }),
-    ("both", Conditions { disturbance: true, noise: true }),
+    ("normal", Conditions { disturbance: false, noise: false, ideal_laser: true }),
+    ("disturbance", Conditions { disturbance: true, noise: false, ideal_laser: true }),
+    ("noise", Conditions { disturbance: false, noise: true, ideal_laser: true }),
+    ("both", Conditions { disturbance: true, noise: true, ideal_laser: true }),
 ];
+
+/// What the laser adds by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LaserNoise {
+    /// Nothing: the only noise on the sensor is that of the condition, as Table 1 names it.
+    OnlyTheCondition,
+    /// The noise and the steps that the rig assumes.
+    AsAssumed,
+}
 
 /// One run, judged.
 #[derive(Debug, Clone)]
@@ -36,21 +45,25 @@ pub struct Tracked {
     pub trace: Trace,
 }
 
-/// Runs every recipe in every condition, on both cores.
+/// Runs every recipe in every condition of Table 1, on both cores; `done` is called after each run.
 ///
 /// # Errors
 /// Where a rig cannot run.
 pub fn track_all(
     study: &Study,
     twin: &TwinModel,
-    recipes: &[(String, ControllerRecipe)],
+    recipes: &[&(String, ControllerRecipe)],
+    laser: LaserNoise,
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<Tracked>> {
-    let jobs: Vec<_> =
-        recipes.iter().flat_map(|(name, recipe)| CONDITIONS.map(|(condition, c)| (name, recipe, condition, c))).collect();
+    let jobs: Vec<_> = recipes
+        .iter()
+        .flat_map(|(name, recipe)| CONDITIONS.map(|(condition, c)| (name, recipe, condition, c)))
+        .collect();
     jobs.par_iter()
         .map(|(name, recipe, condition, conditions)| {
-            let tracked = track(study, twin, name, recipe, condition, *conditions);
+            let ideal_laser = laser == LaserNoise::OnlyTheCondition;
+            let tracked = track(study, twin, name, recipe, condition, Conditions { ideal_laser, ..*conditions });
             done();
             tracked
         })
@@ -69,8 +82,11 @@ fn track(
     let settle = (study.reference.settle_s * rate_hz).round() as usize;
     let n_ticks = settle + (study.reference.window_s * rate_hz).round() as usize;
     let reference: Vec<f64> = (0..n_ticks).map(|k| study.reference.at(k as f64 / rate_hz)).collect();
-    let plan =
-        RunPlan { feedforward: control::feedforward(recipe, &reference), reference, watch: device::watch(study) };
+    let plan = RunPlan {
+        feedforward: control::feedforward(recipe, &reference),
+        reference,
+        watch: device::watch(study),
+    };
     let mut rig = device::displacement(study, twin, conditions)?;
     let mut control = control::from_recipe(study, recipe, device::displacement_scale())?;
     let record = run(&mut rig, &mut control, &plan)?;
