@@ -130,7 +130,9 @@ pub enum Error {
         allowed: &'static str,
     },
     /// The same frequency and amplitude occur twice.
-    #[error("line {line}: {frequency_hz} Hz at amplitude {amplitude} was given before in line {first_line}")]
+    #[error(
+        "line {line}: {frequency_hz} Hz at amplitude {amplitude} was given before in line {first_line}, allowed is once"
+    )]
     SweepDuplicate {
         /// Line number of the second, from 1 (point number where there is no text).
         line: usize,

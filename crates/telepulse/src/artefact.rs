@@ -1,6 +1,7 @@
 //! Files the program writes: whole or not at all.
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -11,18 +12,108 @@ use sha2::{Digest, Sha256};
 /// # Errors
 /// Names the file where it cannot be written; then nothing is left behind.
 pub fn write_file(path: &Path, content: &[u8]) -> Result<()> {
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        fs::create_dir_all(folder).with_context(|| format!("cannot make folder {}", folder.display()))?;
+    let mut file = GrowingFile::beside(path)?;
+    file.write_all(content).with_context(|| format!("cannot write {}", path.display()))?;
+    file.commit()
+}
+
+/// A file that appears under its name only once it is complete. Dropped before, it leaves nothing behind.
+#[derive(Debug)]
+pub struct GrowingFile {
+    target: PathBuf,
+    partial: PathBuf,
+    file: fs::File,
+    folder: MadeFolder,
+    committed: bool,
+}
+
+impl GrowingFile {
+    /// Opens the file under a temporary name beside `target`; folders on the way to it are made.
+    ///
+    /// # Errors
+    /// Names the file or folder that cannot be made, or `target` where that is a folder.
+    pub fn beside(target: &Path) -> Result<Self> {
+        ensure!(!target.is_dir(), "cannot write {}: it is a folder", target.display());
+        let name = target.file_name().with_context(|| format!("{} names no file", target.display()))?;
+        let folder = MadeFolder::make(target.parent().unwrap_or(Path::new("")))?;
+        let mut name = name.to_os_string();
+        name.push(format!(".partial-{}", std::process::id()));
+        let partial = target.with_file_name(name);
+        let file =
+            fs::File::create(&partial).with_context(|| format!("cannot write {}", target.display()))?;
+        Ok(Self { target: target.to_path_buf(), partial, file, folder, committed: false })
     }
-    let mut name =
-        path.file_name().with_context(|| format!("{} names no file", path.display()))?.to_os_string();
-    name.push(format!(".partial-{}", std::process::id()));
-    let partial = path.with_file_name(name);
-    let written = fs::write(&partial, content).and_then(|()| fs::rename(&partial, path));
-    if written.is_err() {
-        let _ = fs::remove_file(&partial);
+
+    /// Gives the file its name; an older one of that name is replaced.
+    ///
+    /// # Errors
+    /// Names the file; then nothing is left behind.
+    pub fn commit(self) -> Result<()> {
+        let target = self.target.clone();
+        self.commit_as(&target)
     }
-    written.with_context(|| format!("cannot write {}", path.display()))
+
+    /// Gives the file another name than the one it was begun for, in the same folder.
+    ///
+    /// # Errors
+    /// Names the file; then nothing is left behind.
+    pub fn commit_as(mut self, target: &Path) -> Result<()> {
+        fs::rename(&self.partial, target).with_context(|| format!("cannot write {}", target.display()))?;
+        self.committed = true;
+        self.folder.keep();
+        Ok(())
+    }
+}
+
+impl Write for GrowingFile {
+    fn write(&mut self, content: &[u8]) -> std::io::Result<usize> {
+        self.file.write(content)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for GrowingFile {
+    fn drop(&mut self) {
+        if !self.committed {
+            let _ = fs::remove_file(&self.partial);
+        }
+    }
+}
+
+/// A folder, made with those above it; what was made is taken away again unless it is kept.
+#[derive(Debug, Default)]
+struct MadeFolder {
+    /// Outermost first.
+    made: Vec<PathBuf>,
+}
+
+impl MadeFolder {
+    fn make(folder: &Path) -> Result<Self> {
+        let missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
+        let mut made: Vec<PathBuf> = folder.ancestors().take_while(missing).map(Path::to_path_buf).collect();
+        made.reverse();
+        let made = Self { made };
+        if !folder.as_os_str().is_empty() {
+            fs::create_dir_all(folder).with_context(|| format!("cannot make folder {}", folder.display()))?;
+        }
+        Ok(made)
+    }
+
+    fn keep(&mut self) {
+        self.made.clear();
+    }
+}
+
+impl Drop for MadeFolder {
+    fn drop(&mut self) {
+        // Only empty folders go: one into which somebody else has written meanwhile stays.
+        for folder in self.made.iter().rev() {
+            let _ = fs::remove_dir(folder);
+        }
+    }
 }
 
 /// Reads a text file.
@@ -50,6 +141,7 @@ const MARK: &str = "report.json";
 pub struct StagedFolder {
     staged: PathBuf,
     target: PathBuf,
+    parent: MadeFolder,
     committed: bool,
 }
 
@@ -70,8 +162,9 @@ impl StagedFolder {
         let name = target.file_name().with_context(|| format!("{} names no folder", target.display()))?;
         let staged =
             target.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
+        let parent = MadeFolder::make(target.parent().unwrap_or(Path::new("")))?;
         fs::create_dir_all(&staged).with_context(|| format!("cannot make folder {}", staged.display()))?;
-        Ok(Self { staged, target: target.to_path_buf(), committed: false })
+        Ok(Self { staged, target: target.to_path_buf(), parent, committed: false })
     }
 
     /// Where to write.
@@ -98,6 +191,7 @@ impl StagedFolder {
             bail!("cannot name {}: {error}", self.target.display());
         }
         self.committed = true;
+        self.parent.keep();
         if had_old {
             let _ = fs::remove_dir_all(&old);
         }

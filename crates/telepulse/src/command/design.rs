@@ -36,9 +36,12 @@ struct Answer {
 pub(super) fn run(typed: &DesignArguments, json: bool) -> Result<Verdict> {
     let study = Study::load(&typed.study)?;
     let model = model(&study, typed.model.as_ref())?;
-    let design = synthesize(&study, &model.nominal)?;
-    let certified = certify(&study, &model, &design.controller)?;
-    let recipe = feedback_recipe(&study, &model, &design.controller, &certified)?;
+    let plant = typed.model.as_ref().map_or("`plant`".to_owned(), |path| path.display().to_string());
+    let design = synthesize(&study, &model.nominal)
+        .with_context(|| format!("in {}: key `weights` with {plant}", study.file.display()))?;
+    let certified = certify(&study, &model, &design.controller).with_context(|| format!("with {plant}"))?;
+    let recipe = feedback_recipe(&study, &model, &design.controller, &certified)
+        .with_context(|| format!("with {plant} and {}", study.file.display()))?;
     artefact::write_file(&typed.out, &serde_json::to_vec_pretty(&recipe)?)?;
     let answered = Answer {
         synthesis: design.summary,
@@ -70,9 +73,13 @@ pub(super) fn model(study: &Study, file: Option<&PathBuf>) -> Result<PlantModel>
             .with_context(|| format!("in {}", path.display()))?;
         return model.checked().with_context(|| format!("in {}", path.display()));
     }
-    let own = study.plant.as_ref().context(
-        "no model: name the file that `telepulse identify` wrote, or give a [plant] with `nominal` and `uncertainty` in study.toml",
-    )?;
+    let own = study.plant.as_ref().with_context(|| {
+        format!(
+            "{}: found none; give a [plant] with `nominal` and `uncertainty`, or name the file that \
+             `telepulse identify` wrote",
+            study.at_key("plant")
+        )
+    })?;
     Ok(PlantModel {
         version: PlantModel::VERSION,
         nominal: own.nominal.to_transfer_function("plant.nominal")?,

@@ -1,6 +1,7 @@
 //! `telepulse identify`: a sweep, a model, a bound.
 
-use std::path::PathBuf;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
@@ -8,7 +9,7 @@ use serde::Serialize;
 use telepulse_design::identify::{InputLinearisation, SweepRecord};
 
 use super::{Verdict, answer};
-use crate::artefact;
+use crate::artefact::{self, GrowingFile};
 use crate::station::device::{self, Conditions};
 use crate::study::config::Study;
 use crate::study::identify::{identify, plant_model, sweep};
@@ -42,11 +43,11 @@ struct Answer {
 pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
     let study = Study::load(&typed.study)?;
     let input = if typed.square_root { InputLinearisation::SquareRoot } else { InputLinearisation::None };
-    let own = typed.sweep.clone().or_else(|| study.identify.sweep_csv.as_ref().map(|path| study.path(path)));
-    let record = match &own {
-        Some(path) => SweepRecord::from_csv(&artefact::read_text(path)?)
-            .with_context(|| format!("in {}", path.display()))?,
-        None => {
+    let own = typed.sweep.clone().or_else(|| study.own_sweep());
+    let record = match (&typed.sweep, &own) {
+        (Some(path), _) => read_sweep(path)?,
+        (None, Some(path)) => read_sweep(path).with_context(|| study.at_key("identify.sweep_csv"))?,
+        (None, None) => {
             let twin = device::twin(&study)?;
             let mut rig = device::displacement(&study, &twin, Conditions::default())?;
             sweep(&mut rig, &study, device::displacement_scale(), input)?
@@ -54,12 +55,19 @@ pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
     };
     let source = own.as_ref().map_or_else(|| "virtual rig".to_owned(), |path| path.display().to_string());
     let found = identify(record, study.identify.rc_s).with_context(|| format!("from {source}"))?;
-    if let Some(path) = &typed.save_sweep {
-        artefact::write_file(path, found.record.to_csv().as_bytes())?;
+    ensure!(
+        found.bound.violations == 0,
+        "from {source}: the bound lies below {} of its {} points, allowed none",
+        found.bound.violations,
+        found.bound.points.len()
+    );
+    let model = serde_json::to_vec_pretty(&plant_model(&study, &found, input, &source)?)?;
+    let mut sweep_file = typed.save_sweep.as_deref().map(GrowingFile::beside).transpose()?;
+    if let Some(file) = &mut sweep_file {
+        file.write_all(found.record.to_csv().as_bytes()).context("cannot write the sweep")?;
     }
-    let model = plant_model(&study, &found, input, &source)?;
-    artefact::write_file(&typed.out, &serde_json::to_vec_pretty(&model)?)?;
-    ensure!(found.bound.violations == 0, "the bound lies below {} of its points", found.bound.violations);
+    artefact::write_file(&typed.out, &model)?;
+    sweep_file.map_or(Ok(()), GrowingFile::commit)?;
     let answered = Answer { identified: found.summary(), model: typed.out.display().to_string() };
     answer(json, &answered, || {
         let i = &answered.identified;
@@ -80,4 +88,9 @@ pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
         ]
     })?;
     Ok(Verdict::Done)
+}
+
+/// Reads a sweep as CSV.
+pub(super) fn read_sweep(path: &Path) -> Result<SweepRecord> {
+    SweepRecord::from_csv(&artefact::read_text(path)?).with_context(|| format!("in {}", path.display()))
 }

@@ -11,7 +11,7 @@ mod study;
 mod track;
 mod verify;
 
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -95,7 +95,8 @@ pub fn run(arguments: Arguments) -> Result<Verdict> {
 
 /// Prints an error with its causes, one line, to standard error.
 pub fn complain(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr(), "telepulse: {error:#}");
+    let line = format!("{error:#}").lines().map(str::trim).collect::<Vec<_>>().join("; ");
+    let _ = writeln!(std::io::stderr(), "telepulse: {line}");
 }
 
 /// Prints a line of progress or notice to standard error.
@@ -105,14 +106,12 @@ fn notify(line: &str) {
 
 /// Prints results to standard output: as JSON, or as the lines given.
 fn answer<T: Serialize>(json: bool, value: &T, lines: impl FnOnce() -> Vec<String>) -> Result<()> {
+    let mut text = if json { serde_json::to_string_pretty(value)? } else { lines().join("\n") };
+    text.push('\n');
     let mut out = std::io::stdout().lock();
-    if json {
-        serde_json::to_writer_pretty(&mut out, value).context("cannot write to standard output")?;
-        writeln!(out).context("cannot write to standard output")?;
-    } else {
-        for line in lines() {
-            writeln!(out, "{line}").context("cannot write to standard output")?;
-        }
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        // Whoever reads has had enough, as `head` does: the work is done all the same.
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        written => written.context("cannot write to standard output"),
     }
-    Ok(())
 }

@@ -23,7 +23,7 @@ pub(super) struct ReceiveArguments {
     #[arg(long, value_name = "DIR", requires = "study")]
     recipes: Option<PathBuf>,
     /// Give up after this many seconds, the wait for the sender included.
-    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    #[arg(long, value_name = "S", default_value_t = 60.0, allow_negative_numbers = true)]
     timeout_s: f64,
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use telepulse_pulse::Unit;
 
@@ -36,12 +36,21 @@ pub(super) fn run(typed: &ReplayArguments, json: bool) -> Result<Verdict> {
     let recipe = read_recipe(&typed.recipe)?;
     let mut pulse = recording::read(&typed.recording)?;
     if *pulse.unit() != Unit::Pascal {
-        pulse = pulse.scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)?;
+        pulse = pulse
+            .scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)
+            .with_context(|| format!("in {}", typed.recording.display()))?;
     }
     let twin = device::twin(&study)?;
     let name = typed.recipe.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let name = name.split('.').next().unwrap_or_default();
-    let replayed = replay(&study, &twin, name, &recipe, &pulse, typed.mode)?;
+    let replayed = replay(&study, &twin, name, &recipe, &pulse, typed.mode).with_context(|| {
+        format!(
+            "replaying {} with {} and {}",
+            typed.recording.display(),
+            typed.recipe.display(),
+            study.file.display()
+        )
+    })?;
     if let Some(path) = &typed.out {
         artefact::write_file(path, &serde_json::to_vec(&replayed)?)?;
     }

@@ -21,13 +21,13 @@ pub(super) struct SendArguments {
     #[arg(long, value_name = "ADDRESS")]
     to: String,
     /// Scale the pulse to this peak-to-peak pressure and send it in Pa above its minimum.
-    #[arg(long, value_name = "PA")]
+    #[arg(long, value_name = "PA", allow_negative_numbers = true)]
     peak_to_peak_pa: Option<f64>,
     /// Send each sample at its own time instead of as fast as the link takes it.
     #[arg(long)]
     realtime: bool,
     /// Give up after this many seconds.
-    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    #[arg(long, value_name = "S", default_value_t = 60.0, allow_negative_numbers = true)]
     timeout_s: f64,
 }
 

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{Args, Subcommand};
 
+use super::identify::read_sweep;
 use super::{Verdict, answer};
 use crate::artefact;
+use crate::recording;
 use crate::study::{self, config::Study};
 
 /// The study that runs when nothing is asked for.
@@ -61,8 +63,14 @@ pub(super) fn run_default(out: Option<PathBuf>, json: bool) -> Result<Verdict> {
 
 fn run_study(path: &Path, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
     let study = Study::load(path)?;
+    // What the study names must be there before any work is done.
+    recording::read(&study.path(&study.pulse.recording)).with_context(|| study.at_key("pulse.recording"))?;
+    if let Some(sweep) = study.own_sweep() {
+        read_sweep(&sweep).with_context(|| study.at_key("identify.sweep_csv"))?;
+    }
     let folder = out.unwrap_or_else(|| PathBuf::from("out")).join(&study.name);
-    let done = study::run::run(&study, &folder)?;
+    let done = study::run::run(&study, &folder)
+        .with_context(|| format!("while running {}", study.file.display()))?;
     answer(json, &done.outcome, || done.summary_lines())?;
     Ok(if done.passed() { Verdict::Done } else { Verdict::CheckFailed })
 }

@@ -2,16 +2,16 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use serde::Serialize;
-use telepulse_pulse::Unit;
+use telepulse_pulse::{PulseRecording, Unit};
 
 use super::{Verdict, answer};
 use crate::artefact;
 use crate::recording;
-use crate::station::replay::{Followed, follow, pulse_reference, read_recipe};
 use crate::station::device;
+use crate::station::replay::{Followed, MAX_MM, follow, pulse_reference, read_recipe};
 use crate::study::config::Study;
 
 #[derive(Debug, Args)]
@@ -42,33 +42,22 @@ struct Answer {
     provenance: String,
 }
 
-/// Largest displacement that a reference may ask for: what 5 kV makes on the weakest parameter set.
-const MAX_MM: f64 = 2.5;
-
 pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
     let study = Study::load(&typed.study)?;
     let recipe = read_recipe(&typed.recipe)?;
     let reference = recording::read(&typed.reference)?;
-    let reference_mm = match reference.unit() {
-        Unit::Millimetre => {
-            let found = reference.values().iter().copied().find(|x| !(0.0..=MAX_MM).contains(x));
-            ensure!(
-                found.is_none(),
-                "{}: column `value`: found {} mm, allowed 0 to {MAX_MM} mm from rest",
-                typed.reference.display(),
-                found.unwrap_or_default()
-            );
-            telepulse_pulse::resample::resample(&reference, study.control.sample_rate_hz)?.values().to_vec()
-        }
-        Unit::Pascal => pulse_reference(&study, &reference)?,
-        _ => pulse_reference(
-            &study,
-            &reference.scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)?,
-        )?,
-    };
+    let reference_mm =
+        in_mm(&study, &reference).with_context(|| format!("in {}", typed.reference.display()))?;
     let twin = device::twin(&study)?;
     let Followed { result, trace, mean_abs_error_mm, max_abs_error_mm } =
-        follow(&study, &twin, &recipe, &reference.title, reference_mm)?;
+        follow(&study, &twin, &recipe, &reference.title, reference_mm).with_context(|| {
+            format!(
+                "following {} with {} and {}",
+                typed.reference.display(),
+                typed.recipe.display(),
+                study.file.display()
+            )
+        })?;
     if let Some(path) = &typed.out {
         artefact::write_file(path, &serde_json::to_vec(&trace)?)?;
     }
@@ -91,4 +80,22 @@ pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
         ]
     })?;
     Ok(if unstable { Verdict::CheckFailed } else { Verdict::Done })
+}
+
+/// The reference in mm from rest at the control rate.
+fn in_mm(study: &Study, reference: &PulseRecording) -> Result<Vec<f64>> {
+    Ok(match reference.unit() {
+        Unit::Millimetre => {
+            let outside = reference.values().iter().copied().find(|x| !(0.0..=MAX_MM).contains(x));
+            if let Some(found) = outside {
+                bail!("column `value`: found {found} mm, allowed 0 to {MAX_MM} mm from rest");
+            }
+            telepulse_pulse::resample::resample(reference, study.control.sample_rate_hz)?.values().to_vec()
+        }
+        Unit::Pascal => pulse_reference(study, reference)?,
+        _ => pulse_reference(
+            study,
+            &reference.scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)?,
+        )?,
+    })
 }

@@ -35,7 +35,10 @@ pub(super) fn run(typed: &VerifyArguments, json: bool) -> Result<Verdict> {
         }
         None => study.printed.controller.to_transfer_function("printed.controller")?,
     };
-    let summary = certify(&study, &model, &controller.to_state_space())?.summary();
+    let plant = typed.model.as_ref().unwrap_or(&study.file);
+    let summary = certify(&study, &model, &controller.to_state_space())
+        .with_context(|| format!("in {}", plant.display()))?
+        .summary();
     answer(json, &summary, || vec![line(&summary)])?;
     Ok(if summary.holds { Verdict::Done } else { Verdict::CheckFailed })
 }

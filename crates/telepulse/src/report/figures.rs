@@ -167,7 +167,10 @@ pub fn closed_loop(
 /// Gain margin of each loop on the plant as it is at other biases.
 #[must_use]
 pub fn bias_sweep(points: &[BiasPoint]) -> Figure {
-    let mut gain = Panel::new(Axis::linear("bias, fraction of full-scale voltage"), Axis::linear("static gain, mm per unit"));
+    let mut gain = Panel::new(
+        Axis::linear("bias, fraction of full-scale voltage"),
+        Axis::linear("static gain, mm per unit"),
+    );
     let mut margin =
         Panel::new(Axis::linear("bias, fraction of full-scale voltage"), Axis::log("gain margin, factor"));
     let mut names: Vec<&str> = points.iter().map(|point| point.controller.as_str()).collect();
@@ -182,7 +185,10 @@ pub fn bias_sweep(points: &[BiasPoint]) -> Figure {
         let (x, y) = of(&|p| p.gain_margin.unwrap_or(f64::NAN));
         margin = margin.series(Series::line(name, x, y, colour));
     }
-    let ends = (points.iter().map(|p| p.bias).fold(1.0, f64::min), points.iter().map(|p| p.bias).fold(0.0, f64::max));
+    let ends = (
+        points.iter().map(|p| p.bias).fold(1.0, f64::min),
+        points.iter().map(|p| p.bias).fold(0.0, f64::max),
+    );
     margin = margin.series(Series::level("limit of stability", ends.0, ends.1, 1.0, Colour::Grey));
     Figure::new("bias-sweep", "Gain margin over the stroke")
         .caption(

@@ -1,11 +1,11 @@
 //! The doctor's process: receives a pulse, proves its arrival, replays it.
 
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use telepulse_actuator::twin::TwinModel;
 use telepulse_link::net::{Listener, ReceiveOptions};
@@ -13,8 +13,8 @@ use telepulse_link::record::verify_log_file;
 use telepulse_pulse::{PulseRecording, Unit};
 
 use super::device;
-use super::replay::{Replayed, replay_all};
-use crate::artefact;
+use super::replay::{Job, Replayed, read_recipes, replay_all};
+use crate::artefact::{self, GrowingFile};
 use crate::recording;
 use crate::study::config::Study;
 
@@ -69,6 +69,9 @@ pub struct Received {
 
 /// Receives one stream, writes `received.csv` and `session.jsonl`, checks the log against the stored samples, and replays.
 ///
+/// Where no stream comes, nothing is written. Where one breaks off, its log stays as `session.failed.jsonl`, which ends
+/// with the reason: what went wrong at a patient's side is evidence, but no session to replay.
+///
 /// # Errors
 /// Where the socket cannot be opened, the stream fails, the log does not prove the samples, or a replay cannot run.
 pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Received> {
@@ -79,24 +82,34 @@ pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Re
         .map(|(study, recipes)| {
             let study = Study::load(study)?;
             let twin = device::twin(&study)?;
-            Ok::<(Study, TwinModel, PathBuf), anyhow::Error>((study, twin, recipes.clone()))
+            let jobs = read_recipes(recipes)?;
+            Ok::<(Study, TwinModel, Vec<Job>), anyhow::Error>((study, twin, jobs))
         })
         .transpose()?;
-    std::fs::create_dir_all(&order.out)
-        .with_context(|| format!("cannot make folder {}", order.out.display()))?;
+    ensure!(
+        !order.out.exists() || order.out.is_dir(),
+        "cannot write into {}: it is no folder",
+        order.out.display()
+    );
     let listener = Listener::bind(order.listen.as_str())?;
     announce(listener.local_addr()?);
 
-    let log_path = order.out.join("session.jsonl");
-    let log_file =
-        std::fs::File::create(&log_path).with_context(|| format!("cannot write {}", log_path.display()))?;
-    let mut log = BufWriter::new(log_file);
+    let mut log = SessionLog { folder: &order.out, file: None };
     let options = ReceiveOptions {
         total_timeout: Duration::from_secs_f64(order.timeout_s),
         ..ReceiveOptions::default()
     };
-    let stream = listener.receive(&options, &mut log, &mut |_| {})?;
-    std::io::Write::flush(&mut log).with_context(|| format!("cannot write {}", log_path.display()))?;
+    let stream = match listener.receive(&options, &mut log, &mut |_| {}) {
+        Ok(stream) => stream,
+        Err(error) => {
+            let kept = log.keep_as("session.failed.jsonl")?;
+            return Err(match kept {
+                Some(path) => anyhow::Error::new(error).context(format!("log kept in {}", path.display())),
+                None => error.into(),
+            });
+        }
+    };
+    let log_path = log.keep_as("session.jsonl")?.context("the session has no log")?;
 
     let mut arrived = PulseRecording::new(
         Unit::from_symbol(stream.header.unit()),
@@ -112,7 +125,8 @@ pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Re
         .with_context(|| format!("{} does not prove {}", log_path.display(), stored_path.display()))?;
 
     let replays = match &replay {
-        Some((study, twin, recipes)) => replay_all(study, twin, recipes, &arrived)?,
+        Some((study, twin, jobs)) => replay_all(study, twin, jobs, &arrived)
+            .with_context(|| format!("replaying {}", stored_path.display()))?,
         None => Vec::new(),
     };
     let summary = &stream.summary;
@@ -136,4 +150,42 @@ pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Re
         artefact::write_file(&order.out.join("replay.json"), &serde_json::to_vec(&received)?)?;
     }
     Ok(received)
+}
+
+/// The session log while it grows: on disk from its first line on, under a name of its own until the session has ended.
+struct SessionLog<'a> {
+    folder: &'a Path,
+    file: Option<BufWriter<GrowingFile>>,
+}
+
+impl SessionLog<'_> {
+    /// Gives the log a name in the folder; `None` where no line was written.
+    fn keep_as(self, name: &str) -> Result<Option<PathBuf>> {
+        let Some(file) = self.file else { return Ok(None) };
+        let path = self.folder.join(name);
+        let file = file
+            .into_inner()
+            .map_err(std::io::IntoInnerError::into_error)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        file.commit_as(&path)?;
+        Ok(Some(path))
+    }
+}
+
+impl Write for SessionLog<'_> {
+    fn write(&mut self, content: &[u8]) -> std::io::Result<usize> {
+        let file = match &mut self.file {
+            Some(file) => file,
+            None => {
+                let file = GrowingFile::beside(&self.folder.join("session.jsonl"))
+                    .map_err(|error| std::io::Error::other(format!("{error:#}")))?;
+                self.file.insert(BufWriter::new(file))
+            }
+        };
+        file.write(content)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.as_mut().map_or(Ok(()), Write::flush)
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use telepulse_actuator::twin::TwinModel;
@@ -58,6 +58,11 @@ const LEAD_S: f64 = 15.0;
 /// Time for which it is raised from rest within that.
 const RISE_S: f64 = 2.0;
 
+/// Largest displacement that a reference may ask for: what 5 kV makes on the weakest parameter set.
+pub const MAX_MM: f64 = 2.5;
+/// A shorter reference cannot be judged: the lag is searched over a quarter of it, 0.3 s.
+const SHORTEST_S: f64 = 1.2;
+
 /// How a pulse's pressure becomes the controlled variable.
 #[derive(Debug, Clone, Copy)]
 struct PressureScale {
@@ -75,6 +80,20 @@ impl PressureScale {
         // The load of the cell falls with voltage, so its relief is the mirror image of the pulse.
         let sign = if mode == Mode::Force { -1.0 } else { 1.0 };
         Self { offset_mm: study.reference.offset_mm, middle_pa, pa_per_mm: study.pulse.pa_per_mm, sign }
+    }
+
+    /// The controlled variable for a whole pulse.
+    fn reference_mm(self, pressure_pa: &[f64]) -> Result<Vec<f64>> {
+        let reference: Vec<f64> = pressure_pa.iter().map(|p| self.to_mm(*p)).collect();
+        if let Some(found) = reference.iter().find(|x| !(0.0..=MAX_MM).contains(*x)) {
+            bail!(
+                "the pulse asks for {found} mm, allowed 0 to {MAX_MM} mm from rest: its middle lies at the study's \
+                 `reference.offset_mm` = {} mm, and `pulse.pa_per_mm` = {} Pa make a mm",
+                self.offset_mm,
+                self.pa_per_mm
+            );
+        }
+        Ok(reference)
     }
 
     fn to_mm(self, pressure_pa: f64) -> f64 {
@@ -102,8 +121,7 @@ fn at_control_rate(study: &Study, recording: &PulseRecording) -> Result<PulseRec
 /// Where the recording is no pressure or cannot be resampled.
 pub fn pulse_reference(study: &Study, recording: &PulseRecording) -> Result<Vec<f64>> {
     let pressure = at_control_rate(study, recording)?;
-    let scale = PressureScale::of(study, pressure.values(), Mode::Displacement);
-    Ok(pressure.values().iter().map(|p| scale.to_mm(*p)).collect())
+    PressureScale::of(study, pressure.values(), Mode::Displacement).reference_mm(pressure.values())
 }
 
 /// A reference followed in displacement mode.
@@ -131,7 +149,7 @@ pub fn follow(
     reference_mm: Vec<f64>,
 ) -> Result<Followed> {
     let mut rig = device::displacement(study, twin, Conditions::default())?;
-    let plan = Lead::of(study).plan(study, recipe, reference_mm);
+    let plan = Lead::of(study).plan(study, recipe, reference_mm)?;
     let mut control = control::from_recipe(study, recipe, device::displacement_scale())?;
     let record = run(&mut rig, &mut control, &plan)?;
     let lead = Lead::of(study).ticks;
@@ -173,7 +191,7 @@ pub fn replay(
     let pressure = at_control_rate(study, recording)?;
     let scale = PressureScale::of(study, pressure.values(), mode);
     let lead = Lead::of(study);
-    let plan = lead.plan(study, recipe, pressure.values().iter().map(|p| scale.to_mm(*p)).collect());
+    let plan = lead.plan(study, recipe, scale.reference_mm(pressure.values())?)?;
     let mut rig = device::force(study, twin)?;
     let cell = device::force_scale(study, &rig)?;
     let mut control = control::from_recipe(study, recipe, cell)?;
@@ -201,18 +219,20 @@ impl Lead {
     }
 
     /// The reference with its first value held before it, reached from rest by a smooth rise.
-    fn plan(self, study: &Study, recipe: &ControllerRecipe, reference: Vec<f64>) -> RunPlan {
+    fn plan(self, study: &Study, recipe: &ControllerRecipe, reference: Vec<f64>) -> Result<RunPlan> {
+        let found_s = reference.len() as f64 * study.sample_time_s();
+        ensure!(found_s >= SHORTEST_S, "the reference lasts {found_s} s, allowed at least {SHORTEST_S} s");
         let first = reference.first().copied().unwrap_or(0.0);
         let smooth = |k: usize| {
             let x = (k as f64 / self.rise_ticks as f64).min(1.0);
             first * x * x * (3.0 - 2.0 * x)
         };
         let reference: Vec<f64> = (0..self.ticks).map(smooth).chain(reference).collect();
-        RunPlan {
+        Ok(RunPlan {
             feedforward: control::feedforward(recipe, &reference),
             reference,
             watch: device::watch(study),
-        }
+        })
     }
 }
 
@@ -222,22 +242,25 @@ pub fn recipe_name(controller: &str, mode: Mode) -> String {
     format!("{controller}.{}.recipe.json", mode.word())
 }
 
-/// Replays a recording with every recipe of a folder that follows [`recipe_name`].
+/// A recipe and the mode it is for.
+#[derive(Debug, Clone)]
+pub struct Job {
+    controller: &'static str,
+    mode: Mode,
+    recipe: ControllerRecipe,
+}
+
+/// Reads every recipe of a folder that follows [`recipe_name`].
 ///
 /// # Errors
-/// Where there is no recipe, or one cannot be read or run.
-pub fn replay_all(
-    study: &Study,
-    twin: &TwinModel,
-    recipes: &Path,
-    recording: &PulseRecording,
-) -> Result<Vec<Replayed>> {
+/// Where there is no recipe, or one cannot be read.
+pub fn read_recipes(recipes: &Path) -> Result<Vec<Job>> {
     let mut jobs = Vec::new();
     for controller in ["printed_k", "hinf", "best"] {
         for mode in [Mode::Displacement, Mode::Force] {
             let path = recipes.join(recipe_name(controller, mode));
             if path.is_file() {
-                jobs.push((controller, mode, read_recipe(&path)?));
+                jobs.push(Job { controller, mode, recipe: read_recipe(&path)? });
             }
         }
     }
@@ -247,8 +270,24 @@ pub fn replay_all(
         recipes.display(),
         recipe_name("best", Mode::Force)
     );
+    Ok(jobs)
+}
+
+/// Replays a recording with every recipe.
+///
+/// # Errors
+/// Where one cannot run.
+pub fn replay_all(
+    study: &Study,
+    twin: &TwinModel,
+    jobs: &[Job],
+    recording: &PulseRecording,
+) -> Result<Vec<Replayed>> {
     jobs.iter()
-        .map(|(controller, mode, recipe)| replay(study, twin, controller, recipe, recording, *mode))
+        .map(|job| {
+            replay(study, twin, job.controller, &job.recipe, recording, job.mode)
+                .with_context(|| recipe_name(job.controller, job.mode))
+        })
         .collect()
 }
 

@@ -4,8 +4,8 @@ use anyhow::{Context, Result};
 use rayon::prelude::*;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::{
-    FitOptions, InputLinearisation, RcPole, SweepOptions, SweepPlan, ThirdOrderFit, Weighting, fit_third_order,
-    log_spaced,
+    FitOptions, InputLinearisation, RcPole, SweepOptions, SweepPlan, ThirdOrderFit, Weighting,
+    fit_third_order, log_spaced,
 };
 use telepulse_lti::{LoopMargins, StateSpace};
 
@@ -21,39 +21,51 @@ const BIASES: [f64; 7] = [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9];
 /// Amplitude of the small sine, a fraction of full-scale voltage.
 const AMPLITUDE: f64 = 0.04;
 
-/// The plant at one bias, for voltage and for its square as the command.
-struct Local {
+/// The plant at one bias, for voltage or for its square as the command.
+#[derive(Debug, Clone)]
+pub struct LocalPlant {
     bias: f64,
     input: InputLinearisation,
     fit: ThirdOrderFit,
 }
 
-/// Identifies the plant with small sines at several biases and judges each loop on each of them.
+/// Identifies the plant with small sines at several biases, on both cores.
 ///
 /// # Errors
 /// Where a rig trips or a sweep does not determine a model.
-pub fn run(study: &Study, twin: &TwinModel, rc_s: f64, loops: &[Loop]) -> Result<Vec<BiasPoint>> {
+pub fn measure(study: &Study, twin: &TwinModel, rc_s: f64) -> Result<Vec<LocalPlant>> {
     let jobs: Vec<(f64, InputLinearisation)> = BIASES
         .iter()
         .flat_map(|bias| [(*bias, InputLinearisation::None), (*bias, InputLinearisation::SquareRoot)])
         .collect();
-    let locals = jobs
-        .par_iter()
+    jobs.par_iter()
         .map(|(bias, input)| {
-            local(study, twin, rc_s, *bias, *input).with_context(|| format!("small sines about a bias of {bias}"))
+            local(study, twin, rc_s, *bias, *input)
+                .with_context(|| format!("small sines about a bias of {bias}"))
         })
-        .collect::<Result<Vec<Local>>>()?;
-    let filter = measurement_filter(study)?.to_state_space();
-    let mut points = Vec::new();
-    for one in loops {
-        for local in locals.iter().filter(|local| local.input == one.input) {
-            points.push(judge(one, local, &filter)?);
-        }
-    }
-    Ok(points)
+        .collect()
 }
 
-fn local(study: &Study, twin: &TwinModel, rc_s: f64, bias: f64, input: InputLinearisation) -> Result<Local> {
+/// Judges a loop on every plant that has its kind of command, with the filter (26) in the measurement.
+///
+/// # Errors
+/// Where a loop cannot be formed.
+pub fn judge(study: &Study, one: &Loop, locals: &[LocalPlant]) -> Result<Vec<BiasPoint>> {
+    let filter = measurement_filter(study)?.to_state_space();
+    locals
+        .iter()
+        .filter(|local| local.input == one.input)
+        .map(|local| judge_at(one, local, &filter))
+        .collect()
+}
+
+fn local(
+    study: &Study,
+    twin: &TwinModel,
+    rc_s: f64,
+    bias: f64,
+    input: InputLinearisation,
+) -> Result<LocalPlant> {
     // The same swing of the voltage, in units of the command.
     let (centre, amplitude) = match input {
         InputLinearisation::None => (bias, AMPLITUDE),
@@ -69,11 +81,16 @@ fn local(study: &Study, twin: &TwinModel, rc_s: f64, bias: f64, input: InputLine
     })?;
     let mut rig = device::displacement(study, twin, Conditions::default())?;
     let record = run_sweep(&mut rig, study, &plan, device::displacement_scale(), input, centre)?;
-    let options = FitOptions { rc: RcPole::Known(rc_s), weighting: Weighting::Relative, ..FitOptions::default() };
-    Ok(Local { bias, input, fit: fit_third_order(&record, &options)? })
+    let options =
+        FitOptions { rc: RcPole::Known(rc_s), weighting: Weighting::Relative, ..FitOptions::default() };
+    Ok(LocalPlant { bias, input, fit: fit_third_order(&record, &options)? })
 }
 
-fn judge(one: &Loop, local: &Local, filter: &StateSpace<telepulse_lti::Continuous>) -> Result<BiasPoint> {
+fn judge_at(
+    one: &Loop,
+    local: &LocalPlant,
+    filter: &StateSpace<telepulse_lti::Continuous>,
+) -> Result<BiasPoint> {
     let open = one.controller.series(&local.fit.transfer_function.to_state_space())?.series(filter)?;
     let unity = StateSpace::from_gain(nalgebra::DMatrix::identity(1, 1))?;
     let stable = open.feedback(&unity)?.is_stable()?;

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use serde::Deserialize;
 use telepulse_actuator::ParameterSet;
 use telepulse_design::implement::PidSettings;
 use telepulse_lti::TransferFunction;
+use toml::de::{DeTable, DeValue};
 
 /// A study as typed in `study.toml`. Units are in the names; unknown keys are refused.
 #[derive(Debug, Clone, Deserialize)]
@@ -78,7 +79,7 @@ pub struct Identify {
 
 /// A time constant that is known, or left to the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a time in seconds or \"free\"")]
 pub enum RcTime {
     /// Known, in seconds.
     Known(f64),
@@ -236,6 +237,9 @@ impl Polynomials {
     /// # Errors
     /// Names `key` where the coefficients do not make a proper transfer function.
     pub fn to_transfer_function(&self, key: &str) -> Result<TransferFunction> {
+        for (part, list) in [("numerator", &self.numerator), ("denominator", &self.denominator)] {
+            ensure!(!list.is_empty(), "key `{key}.{part}`: found no coefficient, allowed one or more");
+        }
         TransferFunction::new(&self.numerator, &self.denominator).with_context(|| format!("key `{key}`"))
     }
 }
@@ -270,7 +274,8 @@ impl Study {
         let file = if path.is_dir() { path.join("study.toml") } else { path.to_path_buf() };
         let text =
             std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
-        let mut study: Self = toml::from_str(&text).with_context(|| format!("in {}", file.display()))?;
+        let mut study: Self = toml::from_str(&text)
+            .map_err(|error| anyhow!("in {}: {}", file.display(), one_line(&error, &text)))?;
         study.folder = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
         study.check().with_context(|| format!("in {}", file.display()))?;
         study.file = file;
@@ -281,6 +286,18 @@ impl Study {
     #[must_use]
     pub fn path(&self, relative: &Path) -> PathBuf {
         self.folder.join(relative)
+    }
+
+    /// The sweep of the user's own, if the study names one.
+    #[must_use]
+    pub fn own_sweep(&self) -> Option<PathBuf> {
+        self.identify.sweep_csv.as_ref().map(|path| self.path(path))
+    }
+
+    /// Where a mistake lies, for a message: the file and a key in it.
+    #[must_use]
+    pub fn at_key(&self, key: &str) -> String {
+        format!("in {}: key `{key}`", self.file.display())
     }
 
     /// The time between two ticks.
@@ -342,12 +359,20 @@ impl Study {
         ] {
             let system = typed.to_transfer_function(key)?;
             ensure!(
+                typed.numerator.iter().any(|c| *c != 0.0),
+                "key `{key}.numerator`: found only zeros, allowed one coefficient other than zero at least"
+            );
+            ensure!(
                 system.is_stable()?,
                 "key `{key}`: found a pole on or right of the imaginary axis, allowed stable systems"
             );
         }
         if let Some(own) = &self.plant {
             own.nominal.to_transfer_function("plant.nominal")?;
+            ensure!(
+                own.nominal.numerator.iter().any(|c| *c != 0.0),
+                "key `plant.nominal.numerator`: found only zeros, allowed one coefficient other than zero at least"
+            );
             let bound = own.uncertainty.to_transfer_function("plant.uncertainty")?;
             ensure!(
                 bound.is_stable()?,
@@ -382,6 +407,46 @@ impl Study {
         within("pulse.pa_per_mm", self.pulse.pa_per_mm, 1.0, 1e6)?;
         within("pulse.plate_radius_mm", self.pulse.plate_radius_mm, 0.1, 100.0)?;
         within("pulse.playout_delay_s", self.pulse.playout_delay_s, 0.0, 10.0)
+    }
+}
+
+/// A mistake in a TOML file as one line: place, key and what is wrong.
+fn one_line(error: &toml::de::Error, text: &str) -> String {
+    let message = error.message().trim().replace('\n', ", ");
+    let Some(span) = error.span() else { return message };
+    let before = &text[..span.start.min(text.len())];
+    let line = 1 + before.matches('\n').count();
+    let column = 1 + before.chars().rev().take_while(|c| *c != '\n').count();
+    // A text that is no TOML at all has no keys; then the place must do.
+    let mut path = Vec::new();
+    let key = match DeTable::parse(text) {
+        Ok(table) if key_at(table.get_ref(), span.start, &mut path) => format!(", key `{}`", path.join(".")),
+        _ => String::new(),
+    };
+    format!("line {line}, column {column}{key}: {message}")
+}
+
+/// Finds the innermost key whose name or value stands at a byte of the text; `path` becomes the way to it.
+///
+/// The depth is bounded by that of the file, which the parser limits.
+fn key_at(table: &DeTable<'_>, byte: usize, path: &mut Vec<String>) -> bool {
+    table.iter().any(|(key, value)| {
+        path.push(key.get_ref().to_string());
+        // The span of a `[table]` is its header alone, so what stands below it is searched in any case.
+        let found =
+            key_in(value.get_ref(), byte, path) || key.span().contains(&byte) || value.span().contains(&byte);
+        if !found {
+            path.pop();
+        }
+        found
+    })
+}
+
+fn key_in(value: &DeValue<'_>, byte: usize, path: &mut Vec<String>) -> bool {
+    match value {
+        DeValue::Table(table) => key_at(table, byte, path),
+        DeValue::Array(entries) => entries.iter().any(|entry| key_in(entry.get_ref(), byte, path)),
+        _ => false,
     }
 }
 

@@ -7,7 +7,7 @@ use telepulse_design::verify::{Certificate, LoopUnderTest, verify};
 use telepulse_lti::{Continuous, StateSpace, TransferFunction};
 
 use super::config::Study;
-use super::outcome::{CertificateSummary, Synthesis};
+use super::outcome::{BiasPoint, CertificateSummary, Synthesis};
 
 /// No controller pole is faster than this: well inside what the sample rate can follow.
 const FASTEST_POLE_RAD_S: f64 = 5e4;
@@ -61,6 +61,13 @@ pub fn synthesize(study: &Study, plant: &TransferFunction) -> Result<Design> {
 pub enum Certified {
     /// The verifier's certificate; whether it holds is in it.
     Judged(Box<Certificate>),
+    /// A certificate at the bias of the sweep, for a loop that is unstable at another bias of the stroke.
+    Fragile {
+        /// The verifier's certificate.
+        certificate: Box<Certificate>,
+        /// The lowest bias at which the loop was found unstable.
+        unstable_from: f64,
+    },
     /// The loop is not even nominally stable, or cannot be judged.
     Refused(String),
 }
@@ -76,7 +83,22 @@ impl Certified {
                 certificate.norm_ms.value * certificate.norm_ws.value,
                 certificate.frequency_wise.value
             )),
+            Self::Fragile { certificate, unstable_from } => Some(format!(
+                "unstable from bias {unstable_from} on; at the bias of the sweep max |Ws K S| is {:.3}",
+                certificate.frequency_wise.value
+            )),
             Self::Refused(reason) => Some(reason.clone()),
+        }
+    }
+
+    /// The same, in the light of what the loop does at other biases.
+    #[must_use]
+    pub fn over_the_stroke(self, points: &[BiasPoint]) -> Self {
+        let unstable_from =
+            points.iter().filter(|point| !point.stable).map(|point| point.bias).min_by(f64::total_cmp);
+        match (self, unstable_from) {
+            (Self::Judged(certificate), Some(unstable_from)) => Self::Fragile { certificate, unstable_from },
+            (judged, _) => judged,
         }
     }
 
@@ -84,8 +106,9 @@ impl Certified {
     #[must_use]
     pub fn summary(&self) -> CertificateSummary {
         match self {
-            Self::Judged(c) => CertificateSummary {
-                holds: c.holds(),
+            Self::Judged(c) | Self::Fragile { certificate: c, .. } => CertificateSummary {
+                holds: self.objection().is_none(),
+                small_gain_test_passes: c.holds(),
                 reason: self.objection(),
                 norm_ms: Some(c.norm_ms.value),
                 norm_ws: Some(c.norm_ws.value),

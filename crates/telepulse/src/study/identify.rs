@@ -46,6 +46,26 @@ pub fn sweep_plan(study: &Study) -> Result<SweepPlan> {
     })?)
 }
 
+/// The sweep of a held plate: a gain behind the circuit, so that a dozen frequencies at the study's amplitudes determine it. It
+/// starts at 0.25 Hz, below the slowest heart rate; slower changes are creep, which the feedback removes.
+///
+/// # Errors
+/// Where a frequency or amplitude cannot be placed.
+pub fn held_sweep_plan(study: &Study) -> Result<SweepPlan> {
+    let identify = &study.identify;
+    let lowest_hz = identify.frequency_min_hz.max(0.25).min(0.5 * identify.frequency_max_hz);
+    Ok(SweepPlan::new(&SweepOptions {
+        frequencies_hz: log_spaced(lowest_hz, identify.frequency_max_hz, 12),
+        amplitudes: identify.amplitudes.clone(),
+        bias: identify.bias,
+        sample_rate_hz: study.control.sample_rate_hz,
+        bias_settle_s: 20.0,
+        settle_s: 0.5,
+        measured_periods: 2,
+        ..SweepOptions::default()
+    })?)
+}
+
 /// Runs the study's sweep on a rig; see [`run_sweep`].
 ///
 /// # Errors
@@ -147,7 +167,8 @@ pub fn identify(record: SweepRecord, rc: RcTime) -> Result<Identification> {
     };
     let nominal = smallest_amplitude(&record);
     let fit = fit_third_order(&nominal, &options)?;
-    let magnitude_fit = fit_third_order(&nominal, &FitOptions { residual: Residual::MagnitudeOnly, ..options })?;
+    let magnitude_fit =
+        fit_third_order(&nominal, &FitOptions { residual: Residual::MagnitudeOnly, ..options })?;
     let bound = bound(&record, &fit.transfer_function)?;
     Ok(Identification { record, fit, bound, magnitude_fit })
 }

@@ -8,13 +8,14 @@ use telepulse_design::identify::{
 };
 use telepulse_lti::TransferFunction;
 
+use super::bias_sweep::{self, LocalPlant};
 use super::config::{RcTime, Study};
-use super::identify::{Identification, bound, identify, plant_model, sweep};
+use super::identify::{Identification, bound, held_sweep_plan, identify, plant_model, run_sweep, sweep};
 use crate::artefact;
 use crate::station::device::{self, Conditions};
 
-/// Sweeps of a study: voltage and its square, in displacement and in force mode.
-pub const N_SWEEPS: u64 = 4;
+/// Sweeps of a study: voltage and its square, in displacement and in force mode, and the small ones at other biases.
+pub const N_SWEEPS: u64 = 5;
 
 /// Everything that identification knows about the device.
 #[derive(Debug, Clone)]
@@ -23,6 +24,8 @@ pub struct Models {
     pub voltage: Identification,
     /// Displacement from the square of the voltage.
     pub square_root: Identification,
+    /// Displacement from both at other biases.
+    pub locals: Vec<LocalPlant>,
     /// Relief of the load cell from voltage.
     pub force_voltage: HeldModel,
     /// Relief of the load cell from the square of the voltage.
@@ -63,7 +66,10 @@ pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Res
     // The circuit is the same in all four; where it is left to the fit, the displacement sweep determines it.
     let voltage = identify(voltage, study.identify.rc_s).context("the displacement sweep")?;
     let rc = RcTime::Known(voltage.fit.rc_s);
+    let locals = bias_sweep::measure(study, twin, voltage.fit.rc_s)?;
+    done();
     Ok(Models {
+        locals,
         square_root: identify(square_root, rc)
             .context("the displacement sweep with the square of the voltage")?,
         force_voltage: HeldModel::fit(force_voltage, voltage.fit.rc_s).context("the force sweep")?,
@@ -77,7 +83,8 @@ fn record(study: &Study, twin: &TwinModel, held: bool, input: InputLinearisation
     if held {
         let mut rig = device::force(study, twin)?;
         let scale = device::force_scale(study, &rig)?;
-        return sweep(&mut rig, study, scale, input);
+        let plan = held_sweep_plan(study)?;
+        return run_sweep(&mut rig, study, &plan, scale, input, study.identify.bias);
     }
     if let (Some(own), InputLinearisation::None) = (&study.identify.sweep_csv, input) {
         let path = study.path(own);

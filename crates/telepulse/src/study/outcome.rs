@@ -55,6 +55,15 @@ pub struct Outcome {
     pub assumptions: Vec<Assumption>,
 }
 
+impl Outcome {
+    /// The lowest bias of the stroke at which a controller's loop was found unstable, if there is one.
+    #[must_use]
+    pub fn unstable_from(&self, controller: &str) -> Option<f64> {
+        let unstable = self.bias_sweep.iter().filter(|point| point.controller == controller && !point.stable);
+        unstable.map(|point| point.bias).min_by(f64::total_cmp)
+    }
+}
+
 /// A third-order model and the bound of its error.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Identified {
@@ -117,8 +126,11 @@ pub struct Printed {
 /// A certificate in numbers; there are none for a loop that is not even nominally stable.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct CertificateSummary {
-    /// Whether the loop is certified stable inside of the bound.
+    /// Whether the loop is certified: stable inside of the bound at the bias of the sweep and, in displacement mode, stable at
+    /// every other bias examined.
     pub holds: bool,
+    /// Whether the small-gain test passes at the bias of the sweep, by norms (23) or frequency by frequency.
+    pub small_gain_test_passes: bool,
     /// Why not, where it does not.
     pub reason: Option<String>,
     /// Norm of `K S`.

@@ -10,10 +10,11 @@ use telepulse_design::implement::{
 };
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
-use super::config::Study;
+use super::bias_sweep;
+use super::config::{Pid, Study};
 use super::controllers::{Certified, Design, certify, measurement_filter, synthesize};
 use super::models::Models;
-use crate::station::replay::Mode;
+use super::outcome::BiasPoint;
 
 /// Every recipe of a study, with the evidence behind it.
 #[derive(Debug, Clone)]
@@ -24,12 +25,22 @@ pub struct Recipes {
     pub force: Vec<(String, ControllerRecipe)>,
     /// Certificates in displacement mode by controller, in force mode by controller with `_force` behind it.
     pub certificates: BTreeMap<String, Certified>,
+    /// Each loop in displacement mode on the plant as it is at other biases.
+    pub bias_points: Vec<BiasPoint>,
     /// Our S/KS design on the identified plant.
     pub hinf: Design,
     /// The feedback of our best controller.
     pub best: Design,
-    /// The loops that figure 12 shows.
+    /// Every loop in displacement mode on its own model, H-infinity designs first.
     pub loops: Vec<Loop>,
+}
+
+impl Recipes {
+    /// The loops that figure 12 shows: all but the PIDs.
+    #[must_use]
+    pub fn shaped_loops(&self) -> &[Loop] {
+        &self.loops[..3]
+    }
 }
 
 /// A feedback loop on its own model.
@@ -61,37 +72,6 @@ pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
     let hinf_force = synthesize(study, &held.nominal).context("in force mode")?;
     let best_force = best_feedback(study, &held_squared.nominal).context("in force mode")?;
 
-    let mut out = Collected::default();
-    for (name, controller, model, mode) in [
-        ("printed_k", &printed, &displacement, Mode::Displacement),
-        ("hinf", &hinf.controller, &displacement, Mode::Displacement),
-        ("printed_k", &printed, &held, Mode::Force),
-        ("hinf", &hinf_force.controller, &held, Mode::Force),
-    ] {
-        let certified = certify(study, model, controller)?;
-        let recipe = linear_recipe(model, controller, settings(study, model)?, &certified)?;
-        out.add(name, mode, recipe, certified);
-    }
-    for (controller, model, mode) in [
-        (&best.controller, &squared, Mode::Displacement),
-        (&best_force.controller, &held_squared, Mode::Force),
-    ] {
-        let certified = certify(study, model, controller)?;
-        let recipe = linear_recipe(model, controller, preview_settings(study, model)?, &certified)?;
-        out.add("best", mode, recipe, certified);
-    }
-    for (name, typed) in [("pid_auto", &study.pid.auto), ("pid_manual", &study.pid.manual)] {
-        let controller = typed.settings().transfer_function()?.to_state_space();
-        let certified = certify(study, &displacement, &controller)?;
-        let reason =
-            certified.objection().unwrap_or_else(|| "a PID law is not realised from its certificate".into());
-        let recipe = ControllerRecipe::uncertified(
-            &reason,
-            Law::Pid(typed.settings()),
-            settings(study, &displacement)?,
-        )?;
-        out.add(name, Mode::Displacement, recipe, certified);
-    }
     let shown = |name: &str, model: &PlantModel, controller: &StateSpace<Continuous>| Loop {
         controller_name: name.to_owned(),
         plant: model.nominal.clone(),
@@ -99,31 +79,59 @@ pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
         controller: controller.clone(),
         filter: filter.clone(),
     };
+    let pid = |typed: &Pid| Ok::<_, anyhow::Error>(typed.settings().transfer_function()?.to_state_space());
     let loops = vec![
         shown("printed_k", &displacement, &printed),
         shown("hinf", &displacement, &hinf.controller),
         shown("best", &squared, &best.controller),
+        shown("pid_auto", &displacement, &pid(&study.pid.auto)?),
+        shown("pid_manual", &displacement, &pid(&study.pid.manual)?),
     ];
-    let Collected { displacement, force, certificates } = out;
-    Ok(Recipes { displacement, force, certificates, hinf, best, loops })
-}
-
-#[derive(Default)]
-struct Collected {
-    displacement: Vec<(String, ControllerRecipe)>,
-    force: Vec<(String, ControllerRecipe)>,
-    certificates: BTreeMap<String, Certified>,
-}
-
-impl Collected {
-    fn add(&mut self, name: &str, mode: Mode, recipe: ControllerRecipe, certified: Certified) {
-        let (list, key) = match mode {
-            Mode::Displacement => (&mut self.displacement, name.to_owned()),
-            Mode::Force => (&mut self.force, format!("{name}_force")),
+    let mut out = Recipes {
+        displacement: Vec::new(),
+        force: Vec::new(),
+        certificates: BTreeMap::new(),
+        bias_points: Vec::new(),
+        hinf,
+        best,
+        loops,
+    };
+    for one in &out.loops {
+        let name = one.controller_name.as_str();
+        let model = if name == "best" { &squared } else { &displacement };
+        let points = bias_sweep::judge(study, one, &models.locals)?;
+        let certified = certify(study, model, &one.controller)?.over_the_stroke(&points);
+        let recipe = match name {
+            "pid_auto" => pid_recipe(study, &study.pid.auto, model, &certified)?,
+            "pid_manual" => pid_recipe(study, &study.pid.manual, model, &certified)?,
+            "best" => linear_recipe(model, &one.controller, preview_settings(study, model)?, &certified)?,
+            _ => linear_recipe(model, &one.controller, settings(study, model)?, &certified)?,
         };
-        list.push((name.to_owned(), recipe));
-        self.certificates.insert(key, certified);
+        out.displacement.push((name.to_owned(), recipe));
+        out.certificates.insert(name.to_owned(), certified);
+        out.bias_points.extend(points);
     }
+    for (name, controller, model, settings) in [
+        ("printed_k", &printed, &held, settings(study, &held)?),
+        ("hinf", &hinf_force.controller, &held, settings(study, &held)?),
+        ("best", &best_force.controller, &held_squared, preview_settings(study, &held_squared)?),
+    ] {
+        let certified = certify(study, model, controller)?;
+        out.force.push((name.to_owned(), linear_recipe(model, controller, settings, &certified)?));
+        out.certificates.insert(format!("{name}_force"), certified);
+    }
+    Ok(out)
+}
+
+fn pid_recipe(
+    study: &Study,
+    pid: &Pid,
+    model: &PlantModel,
+    certified: &Certified,
+) -> Result<ControllerRecipe> {
+    let reason =
+        certified.objection().unwrap_or_else(|| "a PID law is not realised from its certificate".into());
+    Ok(ControllerRecipe::uncertified(&reason, Law::Pid(pid.settings()), settings(study, model)?)?)
 }
 
 /// The feedback of the best controller: S/KS with the filter (26) as part of the plant, so that the loop is designed as it runs.

@@ -13,11 +13,10 @@ use telepulse_lti::{StateSpace, TransferFunction};
 use telepulse_pulse::spectrum::{Spectrum as LineSpectrum, Window};
 
 use super::config::Study;
-use super::bias_sweep;
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
 use super::models::{self, Models};
-use super::outcome::{Assumption, BiasPoint, Outcome, Printed, Spectrum, StepOutcome, Tracking};
+use super::outcome::{Assumption, Outcome, Printed, Spectrum, StepOutcome, Tracking};
 use super::recipes::{self, Recipes};
 use super::tracking::{self, CONDITIONS, LaserNoise, Step, Tracked};
 use super::transmission::{self, Transmitted};
@@ -61,12 +60,21 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     let program = std::env::current_exe().context("this program's own file is not known")?;
     let link =
         transmission::start(study, &program, &staged.path().join("recipes"), &staged.path().join("doctor"))?;
-    let all: Vec<_> = recipes.displacement.iter().collect();
-    let linear: Vec<_> = all.iter().copied().filter(|(name, _)| !name.starts_with("pid")).collect();
     let tracked = Runs {
-        table_1: tracking::track_all(study, &twin, &all, LaserNoise::OnlyTheCondition, &|| bar.inc(1))?,
-        laser_noise: tracking::track_all(study, &twin, &linear, LaserNoise::AsAssumed, &|| bar.inc(1))?,
-        bias_sweep: bias_sweep::run(study, &twin, models.voltage.fit.rc_s, &recipes.loops)?,
+        table_1: tracking::track_all(
+            study,
+            &twin,
+            &recipes.displacement,
+            LaserNoise::OnlyTheCondition,
+            &|| bar.inc(1),
+        )?,
+        laser_noise: tracking::track_all(
+            study,
+            &twin,
+            &recipes.displacement,
+            LaserNoise::AsAssumed,
+            &|| bar.inc(1),
+        )?,
     };
     let steps = [
         ("twin A, fitted to (16)", tracking::step(study, ParameterSet::A)?),
@@ -85,13 +93,12 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
 }
 
 /// Steps of the progress bar: twin, sweeps, design, tracking runs, link.
-const N_STEPS: u64 = 1 + models::N_SWEEPS + 1 + 20 + 12 + 1;
+const N_STEPS: u64 = 1 + models::N_SWEEPS + 1 + 20 + 20 + 1;
 
 /// What was run while the link was at work.
 struct Runs {
     table_1: Vec<Tracked>,
     laser_noise: Vec<Tracked>,
-    bias_sweep: Vec<BiasPoint>,
 }
 
 fn progress_bar() -> ProgressBar {
@@ -194,7 +201,7 @@ fn assemble(
         },
         tracking: by_controller(&runs.table_1),
         tracking_laser_noise: by_controller(&runs.laser_noise),
-        bias_sweep: runs.bias_sweep.clone(),
+        bias_sweep: recipes.bias_points.clone(),
         pulse: BTreeMap::new(),
         pulse_spectrum,
         link: transmitted.link.clone(),
@@ -212,9 +219,9 @@ fn assemble(
         step_figure(steps, &printed.plant)?,
         figures::frequency_response(&models.voltage, &printed.plant),
         figures::uncertainty(&models.voltage.bound, &printed.uncertainty),
-        closed_loop_figure(&recipes.loops)?,
+        closed_loop_figure(recipes.shaped_loops())?,
     ];
-    drawings.push(figures::bias_sweep(&runs.bias_sweep));
+    drawings.push(figures::bias_sweep(&recipes.bias_points));
     drawings.extend(tracking_figures(&runs.table_1));
     drawings.extend(pulse_figures);
     drawings.extend(replay_figures(transmitted));
@@ -224,7 +231,10 @@ fn assemble(
 fn by_controller(runs: &[Tracked]) -> BTreeMap<String, BTreeMap<String, Tracking>> {
     let mut sorted: BTreeMap<String, BTreeMap<String, Tracking>> = BTreeMap::new();
     for run in runs {
-        sorted.entry(run.controller.clone()).or_default().insert(run.condition.to_owned(), run.result.clone());
+        sorted
+            .entry(run.controller.clone())
+            .or_default()
+            .insert(run.condition.to_owned(), run.result.clone());
     }
     sorted
 }
@@ -250,7 +260,7 @@ fn judge_printed(
     let stacked = telepulse_lti::hinf_norm(&generalized.lower_lft(&printed.controller)?)?;
     let margin = |c: &telepulse_design::verify::Certificate| c.gain_margin.as_ref().map(|m| m.factor);
     let gain_margin_filtered = match &filtered {
-        Certified::Judged(certificate) => margin(certificate),
+        Certified::Judged(certificate) | Certified::Fragile { certificate, .. } => margin(certificate),
         Certified::Refused(_) => None,
     };
     let list = disagreements::list(
@@ -503,8 +513,12 @@ impl Finished {
                 },
             )
         };
-        let certified: Vec<&str> =
-            o.certificates.iter().filter(|(_, c)| c.holds).map(|(name, _)| name.as_str()).collect();
+        let certified: Vec<String> = o
+            .certificates
+            .iter()
+            .filter(|(_, certificate)| certificate.holds)
+            .map(|(name, _)| name.clone())
+            .collect();
         vec![
             o.title.clone(),
             format!(

@@ -52,7 +52,7 @@ pub struct Tracked {
 pub fn track_all(
     study: &Study,
     twin: &TwinModel,
-    recipes: &[&(String, ControllerRecipe)],
+    recipes: &[(String, ControllerRecipe)],
     laser: LaserNoise,
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<Tracked>> {
@@ -63,7 +63,8 @@ pub fn track_all(
     jobs.par_iter()
         .map(|(name, recipe, condition, conditions)| {
             let ideal_laser = laser == LaserNoise::OnlyTheCondition;
-            let tracked = track(study, twin, name, recipe, condition, Conditions { ideal_laser, ..*conditions });
+            let tracked =
+                track(study, twin, name, recipe, condition, Conditions { ideal_laser, ..*conditions });
             done();
             tracked
         })
