@@ -1,5 +1,6 @@
 //! `telepulse send FILE --to ADDRESS`: the patient's side.
 
+use std::net::ToSocketAddrs;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -50,6 +51,9 @@ pub(super) fn run(typed: &SendArguments, json: bool) -> Result<Verdict> {
         "`--timeout-s`: found {}, allowed above 0 to 86400",
         typed.timeout_s
     );
+    typed.to.to_socket_addrs().map(drop).with_context(|| {
+        format!("`--to`: found {}, allowed an address with a port, such as 127.0.0.1:47000", typed.to)
+    })?;
     let mut found = recording::read(&typed.file)?;
     if let Some(peak_to_peak_pa) = typed.peak_to_peak_pa {
         ensure!(

@@ -19,8 +19,8 @@ pub type Traces = BTreeMap<String, Trace>;
 pub fn controller_style(controller: &str) -> (&'static str, Colour) {
     match controller {
         "printed_k" => ("printed K (21)", Colour::Vermilion),
-        "hinf" => ("own S/KS design", Colour::Blue),
-        "best" => ("square root + preview + H-infinity", Colour::Green),
+        "hinf" => ("own S/KS", Colour::Blue),
+        "best" => ("best", Colour::Green),
         "pid_auto" => ("auto-tuned PID", Colour::Orange),
         "pid_manual" => ("hand-set PID", Colour::Purple),
         _ => ("controller", Colour::Sky),
@@ -52,9 +52,8 @@ fn phase_deg(values: &[num_complex::Complex64]) -> Vec<f64> {
 #[must_use]
 pub fn frequency_response(identification: &Identification, printed: &TransferFunction) -> Figure {
     let hz = grid_hz(0.08, 16.0, 400);
-    let mut magnitude =
-        Panel::new(Axis::log("frequency, Hz"), Axis::linear("magnitude, dB re 1 mm per unit"));
-    let mut phase = Panel::new(Axis::log("frequency, Hz"), Axis::degrees("phase, degrees"));
+    let mut magnitude = Panel::new(Axis::log("frequency, Hz"), Axis::linear("gain, dB (mm/unit)"));
+    let mut phase = Panel::new(Axis::log("frequency, Hz"), Axis::degrees("phase, deg"));
     let markers = [Marker::Circle, Marker::Square, Marker::Triangle, Marker::Diamond];
     for (idx, amplitude) in identification.record.amplitudes().into_iter().enumerate() {
         let points: Vec<_> =
@@ -150,7 +149,7 @@ pub fn closed_loop(
     hz: &[f64],
 ) -> Figure {
     let mut tracking = Panel::new(Axis::log("frequency, Hz"), Axis::linear("T, dB").range(-40.0, 10.0));
-    let mut effort = Panel::new(Axis::log("frequency, Hz"), Axis::linear("K S, dB re 1 unit per mm"));
+    let mut effort = Panel::new(Axis::log("frequency, Hz"), Axis::linear("K S, dB (unit/mm)"));
     for (controller, t, ks) in loops {
         let (name, colour) = controller_style(controller);
         let db = |values: &[num_complex::Complex64]| values.iter().map(|v| decibel(v.norm())).collect();
@@ -218,13 +217,7 @@ pub fn tracking(id: &str, title: &str, caption: &str, traces: &Traces, controlle
     for &controller in controllers {
         let Some(trace) = traces.get(controller) else { continue };
         let (name, colour) = controller_style(controller);
-        output = output.series(Series::dashed(
-            name,
-            trace.time_s.clone(),
-            trace.output.clone(),
-            colour,
-            Dash::Dashed,
-        ));
+        output = output.series(Series::line(name, trace.time_s.clone(), trace.output.clone(), colour));
         error = error.series(Series::line(name, trace.time_s.clone(), trace.error(), colour));
         voltage = voltage.series(Series::line(name, trace.time_s.clone(), trace.voltage_kv.clone(), colour));
     }
@@ -299,8 +292,7 @@ pub fn replay(
                 Colour::Ink,
             ));
         }
-        let dash = if controller == "best" { Dash::Dashed } else { Dash::Solid };
-        output = output.series(Series::dashed(name, time_s.clone(), cut(trace, &trace.output), colour, dash));
+        output = output.series(Series::line(name, time_s.clone(), cut(trace, &trace.output), colour));
         error = error.series(Series::line(name, time_s.clone(), cut(trace, &trace.error()), colour));
         voltage = voltage.series(Series::line(name, time_s, cut(trace, &trace.voltage_kv), colour));
     }

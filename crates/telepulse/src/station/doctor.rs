@@ -91,7 +91,8 @@ pub fn receive(order: &Order, announce: &mut dyn FnMut(SocketAddr)) -> Result<Re
         "cannot write into {}: it is no folder",
         order.out.display()
     );
-    let listener = Listener::bind(order.listen.as_str())?;
+    let listener = Listener::bind(order.listen.as_str())
+        .context("allowed is an address of this machine with a port, such as 127.0.0.1:0")?;
     announce(listener.local_addr()?);
 
     let mut log = SessionLog { folder: &order.out, file: None };

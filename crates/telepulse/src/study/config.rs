@@ -410,20 +410,38 @@ impl Study {
     }
 }
 
-/// A mistake in a TOML file as one line: place, key and what is wrong.
+/// A mistake in a TOML file as one line: place, key, what was found and what is allowed.
 fn one_line(error: &toml::de::Error, text: &str) -> String {
-    let message = error.message().trim().replace('\n', ", ");
-    let Some(span) = error.span() else { return message };
-    let before = &text[..span.start.min(text.len())];
+    // What Rust calls the types means nothing to whoever writes a study.
+    let message = error
+        .message()
+        .trim()
+        .replace('\n', ", ")
+        .replace("expected f64", "expected a number")
+        .replace("expected usize", "expected a whole number of 0 or more")
+        .replace("expected u64", "expected a whole number of 0 or more")
+        .replace("expected u32", "expected a whole number of 0 or more");
+    let start = error.span().map_or(0, |span| span.start.min(text.len()));
+    let before = &text[..start];
     let line = 1 + before.matches('\n').count();
     let column = 1 + before.chars().rev().take_while(|c| *c != '\n').count();
-    // A text that is no TOML at all has no keys; then the place must do.
     let mut path = Vec::new();
-    let key = match DeTable::parse(text) {
-        Ok(table) if key_at(table.get_ref(), span.start, &mut path) => format!(", key `{}`", path.join(".")),
-        _ => String::new(),
-    };
-    format!("line {line}, column {column}{key}: {message}")
+    let parsed = DeTable::parse(text);
+    let known = parsed.as_ref().is_ok_and(|table| key_at(table.get_ref(), start, &mut path));
+    if let Some(missing) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
+        // The file as a whole spans its first line, which says nothing about where the key belongs.
+        let (at_table, table) = match (known && start > 0, path.join(".")) {
+            (true, table) => (format!("line {line}: "), format!("{table}.")),
+            _ => Default::default(),
+        };
+        return format!("{at_table}key `{table}{missing}` is missing");
+    }
+    if known {
+        return format!("line {line}, column {column}, key `{}`: {message}", path.join("."));
+    }
+    // A text that is no TOML at all has no keys; then the line itself must do.
+    let found = text.lines().nth(line - 1).unwrap_or_default().trim();
+    format!("line {line}, column {column}, found `{found}`: {message}")
 }
 
 /// Finds the innermost key whose name or value stands at a byte of the text; `path` becomes the way to it.

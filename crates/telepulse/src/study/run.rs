@@ -358,11 +358,7 @@ fn pulse_figures(study: &Study) -> Result<(Spectrum, Vec<Figure>)> {
         .scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, telepulse_pulse::Unit::Pascal)?;
     let beats = telepulse_pulse::beats::detect(&pulse)?;
     let feet_s: Vec<f64> = beats.beats.iter().map(|beat| beat.foot_s).collect();
-    let at = |t_s: f64| {
-        let idx = ((t_s - pulse.start_s()) * pulse.sample_rate_hz()).round().max(0.0) as usize;
-        pulse.values()[idx.min(pulse.n_samples() - 1)]
-    };
-    let feet_pa: Vec<f64> = feet_s.iter().map(|t_s| at(*t_s)).collect();
+    let feet_pa: Vec<f64> = beats.beats.iter().map(|beat| beat.foot_value).collect();
     let mean = pulse.mean();
     let centred: Vec<f64> = pulse.values().iter().map(|p| p - mean).collect();
     let spectrum = LineSpectrum::of(&centred, pulse.sample_rate_hz(), Window::Hann)?;
@@ -399,29 +395,29 @@ fn replay_figures(transmitted: &Transmitted) -> Vec<Figure> {
         figures::replay(
             "fig18-displacement",
             "Pulse replayed in displacement mode (counterpart of figure 18)",
-            "Received over the link, replayed on the virtual rig with weight and laser.",
+            "Eight of forty seconds: received over the link, replayed on the virtual rig with weight and laser.",
             "displacement, mm",
             &displacement,
-            0.0,
-            f64::INFINITY,
+            10.0,
+            18.0,
         ),
         figures::replay(
             "fig20-force",
             "Pulse replayed in force mode (counterpart of figure 20)",
-            "Pressure on the load cell that holds the plate.",
+            "The same eight seconds: pressure on the load cell that holds the plate.",
             "pressure, Pa",
             &traces(Mode::Force),
-            0.0,
-            f64::INFINITY,
+            10.0,
+            18.0,
         ),
         figures::replay(
             "tracked-pulse",
             "A patient's pulse, felt at a distance",
-            "Six seconds of the replay in displacement mode: the printed controller lags, preview removes the lag.",
+            "Four seconds of the replay in displacement mode: the printed controller lags, preview removes the lag.",
             "displacement, mm",
             &displacement,
             10.0,
-            16.0,
+            14.0,
         ),
     ]
 }

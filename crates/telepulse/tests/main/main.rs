@@ -1,3 +1,4 @@
 //! Integration tests of the program.
 
+mod command_line;
 mod dependencies;
