@@ -206,3 +206,56 @@ impl Drop for StagedFolder {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .expect("readable")
+            .map(|entry| entry.expect("readable").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn edge_what_is_given_up_leaves_nothing() {
+        let bench = tempfile::tempdir().expect("a temporary folder");
+        let mut file = GrowingFile::beside(&bench.path().join("a/b/file.csv")).expect("can be made");
+        file.write_all(b"half").expect("can be written");
+        assert_eq!(names(&bench.path().join("a/b")).len(), 1);
+        drop(file);
+        let folder = StagedFolder::beside(&bench.path().join("c/d/results")).expect("can be made");
+        fs::write(folder.path().join("x"), "x").expect("can be written");
+        drop(folder);
+        assert!(names(bench.path()).is_empty());
+    }
+
+    #[test]
+    fn edge_a_file_that_cannot_be_replaced_leaves_nothing() {
+        let bench = tempfile::tempdir().expect("a temporary folder");
+        fs::create_dir(bench.path().join("taken")).expect("can be made");
+        let error = write_file(&bench.path().join("taken"), b"x").expect_err("a folder stands there");
+        assert!(error.to_string().contains("taken: it is a folder"), "{error}");
+        assert_eq!(names(bench.path()), ["taken"]);
+    }
+
+    #[test]
+    fn law_results_replace_only_results() {
+        let bench = tempfile::tempdir().expect("a temporary folder");
+        let target = bench.path().join("made/results");
+        for run in ["first", "second"] {
+            let folder = StagedFolder::beside(&target).expect("may be replaced");
+            fs::write(folder.path().join(MARK), run).expect("can be written");
+            folder.commit().expect("can be named");
+        }
+        assert_eq!(fs::read_to_string(target.join(MARK)).expect("readable"), "second");
+        assert_eq!(names(&bench.path().join("made")), ["results"]);
+        fs::remove_file(target.join(MARK)).expect("removed");
+        fs::write(target.join("note"), "mine").expect("can be written");
+        assert!(StagedFolder::beside(&target).is_err());
+        assert_eq!(names(&bench.path().join("made")), ["results"]);
+    }
+}

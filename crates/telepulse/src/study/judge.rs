@@ -12,7 +12,7 @@ const BANG_BANG_SHARE: f64 = 0.02;
 /// Why a run counts as unstable, if it does.
 ///
 /// Saturation bounds the states of a simulated device, so instability shows as a limit cycle: the supervisor has tripped, or in
-/// the judged window the drive spends [`BANG_BANG_SHARE`] of the time at each end of its range, or the error is larger than the
+/// the judged window the drive spends 2 % of the time at each end of its range, or the error is larger than the
 /// reference itself.
 #[must_use]
 pub fn instability(
