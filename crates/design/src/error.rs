@@ -201,7 +201,7 @@ pub enum Error {
     NoUncertainty,
     /// Model and settings mean different commands.
     #[error("input linearization of the plant model and of the recipe must be the same")]
-    LinearizationMismatch,
+    LinearisationMismatch,
     /// The loop is stable, but neither robustness test passes.
     #[error(
         "loop is not robust: peak of |Ws Ms| is {frequency_wise} and the product of the norms is {norm_product}, one of them must be below 1"
@@ -251,6 +251,25 @@ pub enum Error {
         /// Relative error allowed.
         allowed: f64,
     },
+    /// A recipe controls another quantity than its model describes.
+    #[error("the recipe controls another quantity than the certified model describes")]
+    ControlledMismatch,
+    /// A certified recipe's feedforward is not the one of its model.
+    #[error(
+        "the feedforward of the recipe is not the preview filter of the certified model: it was changed, or made for another plant"
+    )]
+    FeedforwardMismatch,
+    /// A plant that moves against its command.
+    #[error("the plant's gain at rest must be positive, found {dc_gain}: reverse the sign of the response")]
+    NegativeGain {
+        /// Gain at rest.
+        dc_gain: f64,
+    },
+    /// A bound that is zero certifies anything.
+    #[error(
+        "the bound of the uncertainty must not be zero: a model without any error certifies every stable loop"
+    )]
+    ZeroBound,
     /// A static curve does not rise strictly.
     #[error("static curve must rise strictly, found {previous} then {found} in {column} at row {row}")]
     NotMonotone {

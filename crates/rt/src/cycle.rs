@@ -98,7 +98,7 @@ pub struct ControlSettings {
 
 /// The settings of a loop and everything it remembers from one cycle to the next.
 ///
-/// It latches: after a trip each further [`cycle`] commands the lowest voltage and returns the same reason, until
+/// It latches: after a trip each further [`cycle`] commands zero volts and returns the same reason, until
 /// [`reset`](Self::reset).
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControlLoop {
@@ -135,7 +135,7 @@ pub struct CycleOutput {
 }
 
 impl ControlLoop {
-    /// A loop at rest: the law's states as given, the previous voltage at the lowest allowed.
+    /// A loop at rest: the law's states as given, the previous voltage at zero.
     ///
     /// # Errors
     /// [`Error::NotPositive`] or [`Error::NotFinite`] for sample time, scale, trim or full scale.
@@ -145,7 +145,7 @@ impl ControlLoop {
         finite("sensor offset", settings.sensor_scale.offset)?;
         finite("trim in unit command", settings.trim)?;
         positive("full scale in volts", settings.full_scale_v)?;
-        let previous = settings.limits.lowest();
+        let previous = settings.limits.off();
         Ok(Self { settings, previous, started: false, tripped: None })
     }
 
@@ -161,7 +161,7 @@ impl ControlLoop {
         self.previous
     }
 
-    /// Why the loop is latched at the lowest voltage, if it is.
+    /// Why the loop is latched at zero volts, if it is.
     #[must_use]
     pub fn tripped(&self) -> Option<TripReason> {
         self.tripped
@@ -174,14 +174,14 @@ impl ControlLoop {
             ControlLaw::Pid(pid) => pid.reset(),
             ControlLaw::OpenLoop => {}
         }
-        self.previous = self.settings.limits.lowest();
+        self.previous = self.settings.limits.off();
         self.started = false;
         self.tripped = None;
     }
 
-    /// Commands the lowest voltage at once, without a slew limit, and latches `reason` unless an earlier one is latched.
+    /// Commands zero volts at once, without a slew limit, and latches `reason` unless an earlier one is latched.
     pub fn trip<R: Drive>(&mut self, rig: &mut R, now: MonotonicNs, reason: TripReason) -> TripReason {
-        let lowest = self.settings.limits.lowest();
+        let lowest = self.settings.limits.off();
         // A drive that refuses this one as well leaves nothing that software can do; the first reason is the one to report.
         let _ = rig.apply(now, lowest);
         self.previous = lowest;

@@ -65,10 +65,12 @@ impl Limits {
         Ok(Self { min_v, max_v, slew_v_per_s })
     }
 
-    /// The lowest voltage allowed.
+    /// Zero volts: where a drive stands before a run, after it, and after a trip.
+    ///
+    /// `min_v` bounds the commands of a running loop only; an actuator that is not driven carries no voltage.
     #[must_use]
-    pub fn lowest(&self) -> DriveVoltage {
-        DriveVoltage(self.min_v)
+    pub fn off(&self) -> DriveVoltage {
+        DriveVoltage(0.0)
     }
 
     /// Highest voltage allowed, in volts.
@@ -108,7 +110,7 @@ mod tests {
             let limits = Limits::new(min_v, min_v + random.between(0.1, 4000.0), random.between(1.0, 1e7))
                 .expect("valid limits");
             let dt_s = random.between(0.0, 1e-2);
-            let mut previous = limits.lowest();
+            let mut previous = limits.off();
             for _ in 0..100 {
                 let exotic = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -0.0];
                 let request_v =
@@ -128,8 +130,8 @@ mod tests {
     #[test]
     fn edge_infinite_slew_over_no_time_is_no_limit() {
         let limits = Limits::new(0.0, 5000.0, f64::INFINITY).expect("valid limits");
-        assert_eq!(limits.clamp(4000.0, limits.lowest(), 0.0).voltage.volts(), 4000.0);
-        assert_eq!(limits.clamp(f64::INFINITY, limits.lowest(), 1e-3).voltage.volts(), 5000.0);
+        assert_eq!(limits.clamp(4000.0, limits.off(), 0.0).voltage.volts(), 4000.0);
+        assert_eq!(limits.clamp(f64::INFINITY, limits.off(), 1e-3).voltage.volts(), 5000.0);
     }
 
     #[test]

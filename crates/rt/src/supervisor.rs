@@ -7,7 +7,7 @@
 //!     +---------------+                 v
 //!     +------ acknowledge --------- Tripped
 //! ```
-//! Each transition consumes the state it leaves. Every state but `Running` yields one voltage only: the lowest.
+//! Each transition consumes the state it leaves. Every state but `Running` yields one voltage only: zero.
 
 use crate::error::{Error, not_negative, positive};
 use crate::{
@@ -28,7 +28,7 @@ pub struct SupervisorSettings {
     pub overrun_tolerance_s: f64,
 }
 
-/// The drive is at the lowest voltage and nobody intends to change that.
+/// The drive is at zero volts and nobody intends to change that.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Disarmed;
 /// The rig has been checked and a run may start.
@@ -90,7 +90,7 @@ impl Supervisor<Disarmed> {
         Ok(Self { settings, limits, state: Disarmed })
     }
 
-    /// Checks the rig: it must accept the lowest voltage and deliver a finite reading.
+    /// Checks the rig: it must accept zero volts and deliver a finite reading.
     ///
     /// # Errors
     /// A tripped supervisor with the rig's fault.
@@ -99,7 +99,7 @@ impl Supervisor<Disarmed> {
         rig: &mut R,
         now: MonotonicNs,
     ) -> Result<Supervisor<Armed>, Supervisor<Tripped>> {
-        let checked = match rig.apply(now, self.limits.lowest()) {
+        let checked = match rig.apply(now, self.limits.off()) {
             Err(fault) => Err(TripReason::Drive(fault)),
             Ok(()) => match rig.read(now) {
                 Err(fault) => Err(TripReason::Sensor(fault)),
@@ -113,10 +113,10 @@ impl Supervisor<Disarmed> {
         }
     }
 
-    /// The only voltage of this state: the lowest.
+    /// The only voltage of this state: zero.
     #[must_use]
     pub fn voltage(&self) -> DriveVoltage {
-        self.limits.lowest()
+        self.limits.off()
     }
 }
 
@@ -133,10 +133,10 @@ impl Supervisor<Armed> {
         self.with(Disarmed)
     }
 
-    /// The only voltage of this state: the lowest.
+    /// The only voltage of this state: zero.
     #[must_use]
     pub fn voltage(&self) -> DriveVoltage {
-        self.limits.lowest()
+        self.limits.off()
     }
 }
 
@@ -191,7 +191,7 @@ impl Supervisor<Running> {
         self.check_tracking(now, output)
     }
 
-    /// One supervised cycle: deadline, [`cycle`], tracking error. On any trip the lowest voltage is commanded and `control` latched.
+    /// One supervised cycle: deadline, [`cycle`], tracking error. On any trip zero volts is commanded and `control` latched.
     ///
     /// # Errors
     /// The [`TripReason`]; pass it to [`trip`](Self::trip).
@@ -232,10 +232,10 @@ impl Supervisor<Tripped> {
         self.state.reason
     }
 
-    /// The only voltage of this state: the lowest.
+    /// The only voltage of this state: zero.
     #[must_use]
     pub fn voltage(&self) -> DriveVoltage {
-        self.limits.lowest()
+        self.limits.off()
     }
 
     /// The operator has seen the reason; the rig must be armed again.

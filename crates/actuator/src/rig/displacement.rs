@@ -50,7 +50,7 @@ impl Default for Laser {
 /// let model = TwinModel::new(&ParameterSet::A.parameters())?;
 /// let mut rig = DisplacementRig::new(&model, RigConditions::default(), 1)?;
 /// let limits = Limits::new(0.0, 5000.0, f64::INFINITY).expect("valid limits");
-/// rig.apply(MonotonicNs(0), limits.clamp(5000.0, limits.lowest(), 5e-4).voltage).expect("time runs ahead");
+/// rig.apply(MonotonicNs(0), limits.clamp(5000.0, limits.off(), 5e-4).voltage).expect("time runs ahead");
 /// let reading = rig.read(MonotonicNs(10_000_000_000)).expect("in range");
 /// assert!((reading.value - 51.03).abs() < 0.02);
 /// # Ok::<(), telepulse_actuator::Error>(())

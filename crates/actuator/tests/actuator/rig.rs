@@ -17,7 +17,7 @@ fn model() -> TwinModel {
 
 fn volts(request_v: f64) -> DriveVoltage {
     let limits = Limits::new(0.0, 5000.0, f64::INFINITY).expect("valid limits");
-    limits.clamp(request_v, limits.lowest(), 1.0).voltage
+    limits.clamp(request_v, limits.off(), 1.0).voltage
 }
 
 /// Reads at every tick while the voltage is held.

@@ -25,7 +25,7 @@ pub use cover::{
 pub use first_order::{FirstOrderFit, fit_first_order};
 pub use fit::{FitOptions, Residual, ThirdOrderFit, Weighting, fit_third_order};
 pub use magnitude_design::BoundShape;
-pub use model::{InputLinearisation, ModelProvenance, PlantModel};
+pub use model::{Controlled, InputLinearisation, ModelProvenance, PlantModel};
 pub use plan::{SweepOptions, SweepPlan, SweepSegment, log_spaced};
 pub use record::{Distortion, SweepPoint, SweepRecord};
 pub use spectrum::{Line, extract_line};

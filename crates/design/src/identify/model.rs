@@ -37,6 +37,17 @@ impl InputLinearisation {
     }
 }
 
+/// What a loop controls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Controlled {
+    /// Displacement of the plate under its weight, mm from rest.
+    #[default]
+    Displacement,
+    /// Relief of the load cell that holds the plate, in mm-equivalents.
+    CellRelief,
+}
+
 /// Where a model comes from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case", tag = "kind")]
@@ -70,6 +81,8 @@ pub struct PlantModel {
     pub nominal: TransferFunction,
     /// Bound of the additive error, where one is known.
     pub uncertainty: Option<TransferFunction>,
+    /// What its output is.
+    pub controlled: Controlled,
     /// What one unit of command means.
     pub input_linearisation: InputLinearisation,
     /// Command at the operating point, in units.
@@ -94,6 +107,13 @@ impl PlantModel {
         if self.version != Self::VERSION {
             return Err(Error::Version { what: "plant model", found: self.version, allowed: Self::VERSION });
         }
+        let dc_gain = self.nominal.dc_gain()?;
+        if dc_gain.is_nan() || dc_gain <= 0.0 {
+            return Err(Error::NegativeGain { dc_gain });
+        }
+        if self.uncertainty.as_ref().is_some_and(|bound| bound.numerator().iter().all(|c| *c == 0.0)) {
+            return Err(Error::ZeroBound);
+        }
         let displacement = self.bias_displacement_mm.unwrap_or(0.0);
         for (key, found, ok, allowed) in [
             ("bias_unit", self.bias_unit, (0.0..=1.0).contains(&self.bias_unit), "0 to 1"),
@@ -117,6 +137,7 @@ mod tests {
             version: PlantModel::VERSION,
             nominal: TransferFunction::new(&[1350.14], &[0.0045, 1.07182, 22.458, 1444.0]).expect("proper"),
             uncertainty: Some(TransferFunction::new(&[487.5], &[1.0, 45.0, 2500.0]).expect("proper")),
+            controlled: Controlled::Displacement,
             input_linearisation: InputLinearisation::None,
             bias_unit: 0.5,
             bias_displacement_mm: None,

@@ -190,6 +190,11 @@ fn check_point(point: &SweepPoint, line: usize) -> Result<()> {
     check("frequency_hz", p.frequency_hz, p.frequency_hz > 0.0, "a number above 0")?;
     check("amplitude", p.amplitude, p.amplitude > 0.0 && p.amplitude <= 1.0, "a number above 0 and up to 1")?;
     check("magnitude", p.magnitude_mm_per_unit, p.magnitude_mm_per_unit > 0.0, "a number above 0")?;
+    // Wider than any device by orders of magnitude; beyond it the squares in the fit leave the range of floating point.
+    let usable = |found: f64| (1e-9..=1e6).contains(&found);
+    check("frequency_hz", p.frequency_hz, usable(p.frequency_hz), "a number from 1e-9 to 1e6")?;
+    let magnitude = p.magnitude_mm_per_unit;
+    check("magnitude", magnitude, usable(magnitude), "a number from 1e-9 to 1e6")?;
     check("phase_deg", p.phase_deg, p.phase_deg.abs() <= 3600.0, "a number between -3600 and 3600")
 }
 

@@ -7,10 +7,10 @@ use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
 use super::modal_delta::ModalDelta;
 use super::pid::PidSettings;
-use super::preview::PreviewFeedforward;
+use super::preview::{PreviewFeedforward, PreviewOptions, preview_feedforward};
 use super::realize::{Discretization, realize_continuous};
 use super::static_inverse::StaticInverse;
-use crate::identify::{InputLinearisation, PlantModel};
+use crate::identify::{Controlled, InputLinearisation, PlantModel};
 use crate::verify::{Certificate, LoopUnderTest, verify};
 use crate::{Error, Result};
 
@@ -80,6 +80,8 @@ pub struct OperatingPoint {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecipeSettings {
+    /// What the loop controls.
+    pub controlled: Controlled,
     /// Time between ticks.
     pub sample_time_s: SampleTime,
     /// What stands between command and amplifier.
@@ -166,8 +168,8 @@ impl fmt::Display for Provenance {
 /// [`uncertified`](Self::uncertified) with a reason. Reading a file runs the verification again: a law that was changed after it was
 /// certified is refused.
 ///
-/// **Accuracy**: the certificate is about the continuous loop. The hold of the drive adds half a sample of delay, which is within the
-/// bound as long as the bound covers it.
+/// **Accuracy**: the certificate is about the continuous loop. The hold of the drive adds half a sample of delay that is neither in the
+/// model nor in its bound: at 2 kHz it costs 1.1 degrees of phase at the printed loop's 75 rad/s, at 200 Hz 11 degrees.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "PlainRecipe", into = "PlainRecipe")]
 pub struct ControllerRecipe {
@@ -193,7 +195,7 @@ impl ControllerRecipe {
     /// **Method**: the loop of model, controller and measurement filter is verified; then the controller is discretised.
     ///
     /// # Errors
-    /// [`Error::NoUncertainty`] for a model without a bound; [`Error::LinearizationMismatch`] where model and settings mean
+    /// [`Error::NoUncertainty`] for a model without a bound; [`Error::LinearisationMismatch`] where model and settings mean
     /// different commands; [`Error::NotRobust`] where the loop is stable, but not for all of the bound;
     /// all of [`verify`] and [`realize_continuous`]; [`Error::OutOfRange`] for settings.
     pub fn certified(
@@ -205,8 +207,9 @@ impl ControllerRecipe {
         check_settings(&settings)?;
         let model = model.clone().checked()?;
         if model.input_linearisation != settings.input_linearisation {
-            return Err(Error::LinearizationMismatch);
+            return Err(Error::LinearisationMismatch);
         }
+        check_against_model(&settings, &model)?;
         let certificate = certify(&model, controller, &settings)?;
         let law =
             Law::StateSpace(realize_continuous(controller, settings.sample_time_s, discretization)?.law);
@@ -278,6 +281,38 @@ impl TryFrom<PlainRecipe> for ControllerRecipe {
             }
         }
     }
+}
+
+/// A certificate is about a command of a certain size: the settings that give the command its meaning must be the model's.
+fn check_against_model(settings: &RecipeSettings, model: &PlantModel) -> Result<()> {
+    let found = settings.operating_point.full_scale_v;
+    if found != model.full_scale_v {
+        return Err(Error::OutOfRange {
+            key: "full_scale_v",
+            found,
+            allowed: "the full scale of the certified model",
+        });
+    }
+    if settings.limits.max_v > model.full_scale_v {
+        let found = settings.limits.max_v;
+        return Err(Error::OutOfRange {
+            key: "max_v",
+            found,
+            allowed: "up to the full scale of the certified model",
+        });
+    }
+    if settings.controlled != model.controlled {
+        return Err(Error::ControlledMismatch);
+    }
+    let Some(found) = &settings.feedforward else { return Ok(()) };
+    let PreviewFeedforward { bandwidth_hz, transition_hz, .. } = *found;
+    let options = PreviewOptions { bandwidth_hz, transition_hz, ..PreviewOptions::default() };
+    let wanted = preview_feedforward(&model.nominal, settings.sample_time_s, &options)?;
+    let scale = wanted.taps.iter().fold(0.0, |top: f64, tap| top.max(tap.abs()));
+    let same = found.n_preview == wanted.n_preview
+        && found.taps.len() == wanted.taps.len()
+        && found.taps.iter().zip(&wanted.taps).all(|(a, b)| (a - b).abs() <= LAW_DIFFERENCE_MAX * scale);
+    if same { Ok(()) } else { Err(Error::FeedforwardMismatch) }
 }
 
 /// Verifies the loop that the recipe will close.
@@ -372,6 +407,7 @@ mod tests {
     fn settings() -> RecipeSettings {
         RecipeSettings {
             sample_time_s: SampleTime::new(5e-4).expect("positive"),
+            controlled: Controlled::Displacement,
             input_linearisation: InputLinearisation::None,
             measurement_filter_rad_s: Some(40.0 * std::f64::consts::PI),
             reference_path: ReferencePath::Filtered,
@@ -389,6 +425,7 @@ mod tests {
             version: PlantModel::VERSION,
             nominal: TransferFunction::new(&[1350.14], &[0.0045, 1.07182, 22.458, 1444.0]).expect("proper"),
             uncertainty: Some(TransferFunction::new(&[487.5], &[1.0, 45.0, 2500.0]).expect("proper")),
+            controlled: Controlled::Displacement,
             input_linearisation: InputLinearisation::None,
             bias_unit: 0.5,
             bias_displacement_mm: None,
@@ -455,7 +492,7 @@ mod tests {
         let bare = PlantModel { uncertainty: None, ..printed_model() };
         assert_eq!(build(&bare, 1.0), Err(Error::NoUncertainty));
         let rooted = PlantModel { input_linearisation: InputLinearisation::SquareRoot, ..printed_model() };
-        assert_eq!(build(&rooted, 1.0), Err(Error::LinearizationMismatch));
+        assert_eq!(build(&rooted, 1.0), Err(Error::LinearisationMismatch));
     }
 
     #[test]

@@ -84,10 +84,11 @@ pub(super) fn model(study: &Study, file: Option<&PathBuf>) -> Result<PlantModel>
         version: PlantModel::VERSION,
         nominal: own.nominal.to_transfer_function("plant.nominal")?,
         uncertainty: Some(own.uncertainty.to_transfer_function("plant.uncertainty")?),
+        controlled: telepulse_design::identify::Controlled::Displacement,
         input_linearisation: telepulse_design::identify::InputLinearisation::None,
         bias_unit: study.identify.bias,
         bias_displacement_mm: None,
-        full_scale_v: study.control.max_v,
+        full_scale_v: study.control.full_scale_v,
         provenance: ModelProvenance::Given { source: "[plant] of study.toml".into() },
     })
 }

@@ -81,8 +81,8 @@ fn summary(outcome: &Outcome) -> ReportPage {
     page = page.summary(
         "Synthesis on the printed plant",
         format!(
-            "gamma {:.5}, no controller below {:.5} (the printed K: 0.5728)",
-            outcome.synthesis.gamma_achieved, outcome.synthesis.gamma_lower
+            "gamma {:.5}, no controller below {:.5} (the printed K: {:.4})",
+            outcome.synthesis.gamma_achieved, outcome.synthesis.gamma_lower, outcome.printed.gamma
         ),
         Some(status(outcome.synthesis.gamma_achieved <= 0.324)),
     );
@@ -341,14 +341,21 @@ fn tracking(page: ReportPage, outcome: &Outcome) -> ReportPage {
         };
         noisy = noisy.row(std::iter::once(Cell::text(label)).chain(CONTROLLERS.iter().map(|c| of(c))));
     }
-    let mut page = page.section("Tracking of (25)").table(error).table(effort).table(power).table(noisy).note(
-        "Where the reference is highest the printed loop is unstable for a second or two (see the stroke table). Without noise \
-         nothing excites it; the laser's noise does, and it bursts into an oscillation once in each period.",
+    let mut page = page.section("Tracking of (25)").table(error).table(effort).table(power).table(noisy).paragraph(
+        "Table 1's conditions name no noise but their own sine, so those runs have an ideal laser; the last table adds the laser's noise \
+         and steps as assumed. Power comes from the assumed leak across the amplifier's output, which was read off the paper's own \
+         Table 1: its agreement with the paper is no evidence.",
     );
     for controller in CONTROLLERS {
-        if let Some(reason) = run(controller, "normal").and_then(|run| run.unstable_reason.clone()) {
-            page = page.note(format!("{}: {reason}", name(controller)));
+        let Some(normal) = run(controller, "normal") else { continue };
+        let noisy = outcome.tracking_laser_noise.get(controller).and_then(|runs| runs.get("normal"));
+        let mut text = format!("{}: {}", name(controller), normal.provenance);
+        if let Some(reason) = &normal.unstable_reason {
+            text.push_str(&format!(". Normal condition: {reason}"));
+        } else if let Some(reason) = noisy.and_then(|run| run.unstable_reason.as_ref()) {
+            text.push_str(&format!(". With the laser's noise: {reason}"));
         }
+        page = page.note(text);
     }
     page.paragraph(why_not_robust(outcome))
 }

@@ -1,7 +1,7 @@
 //! From a recipe to what the cycle runs: `rt` has no allocator and cannot read recipes itself.
 
 use anyhow::{Result, ensure};
-use telepulse_design::identify::InputLinearisation as DesignInput;
+use telepulse_design::identify::{Controlled, InputLinearisation as DesignInput};
 use telepulse_design::implement::{self as recipe, ControllerRecipe, Law, ReferencePath};
 use telepulse_rt::{
     AntiWindup, ComplexMode, ControlLaw, ControlLoop, ControlSettings, ErrorSign, FilterStart,
@@ -40,7 +40,7 @@ pub fn open_loop(
         error_sign: ErrorSign::Positive,
         trim: 0.0,
         linearisation,
-        full_scale_v: study.control.max_v,
+        full_scale_v: study.control.full_scale_v,
         limits: Limits::new(study.control.min_v, study.control.max_v, f64::INFINITY)?,
         anti_windup: AntiWindup::None,
     })?)
@@ -49,13 +49,29 @@ pub fn open_loop(
 /// The loop that a recipe describes.
 ///
 /// # Errors
-/// Where the recipe was made for another sample time, or asks for more voltage than the study allows.
+/// Where the recipe was made for another quantity or sample time, reads further ahead than the play-out delay, or asks for more
+/// voltage than the study allows.
 pub fn from_recipe(
     study: &Study,
     recipe: &ControllerRecipe,
+    controlled: Controlled,
     sensor_scale: SensorScale,
 ) -> Result<ControlLoop> {
     let settings = recipe.settings();
+    ensure!(
+        settings.controlled == controlled,
+        "the recipe controls {}, allowed is {} in this mode",
+        words(settings.controlled),
+        words(controlled)
+    );
+    if let Some(preview) = &settings.feedforward {
+        ensure!(
+            preview.horizon_s <= study.pulse.playout_delay_s,
+            "the recipe reads the reference {} s ahead, allowed is up to the study's `pulse.playout_delay_s` = {} s",
+            preview.horizon_s,
+            study.pulse.playout_delay_s
+        );
+    }
     let sample_time_s = study.sample_time_s();
     let found_s = settings.sample_time_s.seconds();
     ensure!(
@@ -91,6 +107,13 @@ pub fn from_recipe(
         limits: Limits::new(limits.min_v, limits.max_v, limits.slew_v_per_s.unwrap_or(f64::INFINITY))?,
         anti_windup: if hold { AntiWindup::HoldOutward } else { AntiWindup::None },
     })?)
+}
+
+fn words(controlled: Controlled) -> &'static str {
+    match controlled {
+        Controlled::Displacement => "the displacement of the plate",
+        Controlled::CellRelief => "the relief of the load cell",
+    }
 }
 
 fn law(law: &Law, anti_windup: recipe::AntiWindup, sample_time_s: f64) -> Result<ControlLaw> {

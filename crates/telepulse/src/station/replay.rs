@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use telepulse_actuator::twin::TwinModel;
+use telepulse_design::identify::Controlled;
 use telepulse_design::implement::ControllerRecipe;
 use telepulse_pulse::resample::resample;
 use telepulse_pulse::{PulseRecording, Unit};
@@ -150,12 +151,14 @@ pub fn follow(
 ) -> Result<Followed> {
     let mut rig = device::displacement(study, twin, Conditions::default())?;
     let plan = Lead::of(study).plan(study, recipe, reference_mm)?;
-    let mut control = control::from_recipe(study, recipe, device::displacement_scale())?;
+    let mut control =
+        control::from_recipe(study, recipe, Controlled::Displacement, device::displacement_scale())?;
     let record = run(&mut rig, &mut control, &plan)?;
     let lead = Lead::of(study).ticks;
-    let limits_v = (study.control.min_v, study.control.max_v);
-    let result = judge::replay(title, &record, lead, &record.true_output, 1.0, limits_v)?;
-    let tracking = judge::tracking(&record, lead, &record.true_output, limits_v.0, limits_v.1);
+    let drive = judge::DriveRange::of(study);
+    let result =
+        stamped(study, recipe, judge::replay(title, &record, lead, &record.true_output, 1.0, drive)?);
+    let tracking = judge::tracking(&record, lead, &record.true_output, drive);
     let trace =
         Trace::thin(&record.reference, &record.true_output, &record.voltage_v, record.sample_time_s, lead);
     Ok(Followed {
@@ -194,15 +197,25 @@ pub fn replay(
     let plan = lead.plan(study, recipe, scale.reference_mm(pressure.values())?)?;
     let mut rig = device::force(study, twin)?;
     let cell = device::force_scale(study, &rig)?;
-    let mut control = control::from_recipe(study, recipe, cell)?;
+    let mut control = control::from_recipe(study, recipe, Controlled::CellRelief, cell)?;
     let record = run(&mut rig, &mut control, &plan)?;
     let controlled: Vec<f64> = record.true_output.iter().map(|f| cell.gain * f + cell.offset).collect();
-    let limits_v = (study.control.min_v, study.control.max_v);
-    let result = judge::replay(&recording.title, &record, lead.ticks, &controlled, scale.sign, limits_v)?;
+    let drive = judge::DriveRange::of(study);
+    let result = judge::replay(&recording.title, &record, lead.ticks, &controlled, scale.sign, drive)?;
+    let result = stamped(study, recipe, result);
     let pressures = |series: &[f64]| series.iter().map(|x| scale.to_pa(*x)).collect::<Vec<f64>>();
     let (wanted, found) = (pressures(&record.reference), pressures(&controlled));
     let trace = Trace::thin(&wanted, &found, &record.voltage_v, record.sample_time_s, lead.ticks);
     Ok(Replayed { controller, mode, result, trace })
+}
+
+/// The result with the right by which its controller ran, and the delay at which the pulse was played out.
+fn stamped(study: &Study, recipe: &ControllerRecipe, result: PulseReplay) -> PulseReplay {
+    PulseReplay {
+        provenance: recipe.provenance().to_string(),
+        playout_delay_ms: 1e3 * study.pulse.playout_delay_s,
+        ..result
+    }
 }
 
 /// What stands before the judged part of a replay.

@@ -87,13 +87,13 @@ impl RunRecord {
     }
 }
 
-/// Arms the rig, ticks it through `inputs` under the supervisor, and leaves it at the lowest voltage.
+/// Arms the rig, ticks it through `inputs` under the supervisor, and leaves it at zero volts.
 ///
 /// `each` sees every tick that ran: its index, what the cycle did, and the rig.
 /// Returns why the supervisor ended the run early, if it did.
 ///
 /// # Errors
-/// Where the rig cannot be armed, the supervisor's settings are refused, or the drive does not return to its lowest voltage.
+/// Where the rig cannot be armed, the supervisor's settings are refused, or the drive does not return to zero volts.
 pub fn tick_through<R: Sensor + Drive>(
     rig: &mut R,
     control: &mut ControlLoop,
@@ -118,14 +118,14 @@ pub fn tick_through<R: Sensor + Drive>(
     for (tick_idx, inputs) in inputs.enumerate() {
         match supervisor.tick(rig, control, tick_at(tick_idx), inputs) {
             Ok(output) => each(tick_idx, &output, rig),
-            // The cycle has commanded the lowest voltage already.
+            // The cycle has commanded zero volts already.
             Err(reason) => return Ok(Some(supervisor.trip(reason).reason())),
         }
         n_ticks = tick_idx + 1;
     }
     let lowest = supervisor.finish().voltage();
     rig.apply(tick_at(n_ticks), lowest)
-        .map_err(|fault| anyhow!("the drive did not return to its lowest voltage: {fault}"))?;
+        .map_err(|fault| anyhow!("the drive did not return to zero volts: {fault}"))?;
     Ok(None)
 }
 

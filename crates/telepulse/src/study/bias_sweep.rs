@@ -16,8 +16,8 @@ use super::outcome::BiasPoint;
 use super::recipes::Loop;
 use crate::station::device::{self, Conditions};
 
-/// Biases as fractions of full-scale voltage.
-const BIASES: [f64; 7] = [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9];
+/// Biases as fractions of full-scale voltage; the last one leaves just room for the sine.
+const BIASES: [f64; 8] = [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.96];
 /// Amplitude of the small sine, a fraction of full-scale voltage.
 const AMPLITUDE: f64 = 0.04;
 

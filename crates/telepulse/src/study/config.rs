@@ -147,8 +147,10 @@ pub struct Control {
     pub filter_hz: f64,
     /// Lowest voltage.
     pub min_v: f64,
-    /// Highest voltage; also the full scale.
+    /// Highest voltage that may be commanded.
     pub max_v: f64,
+    /// Voltage of one unit: what the printed controllers, the sweep and the effort index are normalised by. Not a limit.
+    pub full_scale_v: f64,
 }
 
 /// `[reference]`: offset plus sines, Eq. (25).
@@ -276,7 +278,10 @@ impl Study {
             std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
         let mut study: Self = toml::from_str(&text)
             .map_err(|error| anyhow!("in {}: {}", file.display(), one_line(&error, &text)))?;
-        study.folder = file.parent().map_or_else(PathBuf::new, Path::to_path_buf);
+        study.folder = match file.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
+            _ => PathBuf::from("."),
+        };
         study.check().with_context(|| format!("in {}", file.display()))?;
         study.file = file;
         Ok(study)
@@ -340,6 +345,18 @@ impl Study {
         within("control.filter_hz", self.control.filter_hz, 0.1, self.control.sample_rate_hz / 4.0)?;
         within("control.min_v", self.control.min_v, 0.0, 5000.0)?;
         within("control.max_v", self.control.max_v, 1.0, 5000.0)?;
+        within("control.full_scale_v", self.control.full_scale_v, 100.0, 5000.0)?;
+        for &amplitude in &self.identify.amplitudes {
+            let (low, high) = (self.identify.bias - amplitude, self.identify.bias + amplitude);
+            ensure!(
+                low * self.control.full_scale_v >= self.control.min_v
+                    && high * self.control.full_scale_v <= self.control.max_v,
+                "key `identify.amplitudes`: found {amplitude} about a bias of {}, allowed where the drive stays within min_v = {} V and max_v = {} V",
+                self.identify.bias,
+                self.control.min_v,
+                self.control.max_v
+            );
+        }
         ensure!(
             self.control.min_v < self.control.max_v,
             "key `control.max_v`: found {} V, allowed above min_v = {} V",

@@ -142,10 +142,8 @@ pub fn list(study: &Study, recomputed: Recomputed) -> Result<Vec<Disagreement>> 
     );
     let auto = slowest_pole(&plant, &study.pid.auto)?;
     let auto_pid = study.pid.auto.settings().transfer_function()?;
-    let peak_ks = peak(|omega| {
-        let k = auto_pid.at(omega);
-        (k / (k * plant.at(omega) + 1.0)).norm()
-    });
+    let unity_loop = auto_pid.to_state_space().feedback(&plant.to_state_space())?;
+    let peak_ks = telepulse_lti::hinf_norm(&unity_loop)?.value;
     row(
         "Auto-tuned PID",
         "lost stability on the rig".into(),
@@ -212,11 +210,6 @@ fn closed_loop_features(magnitude: impl Fn(f64) -> f64) -> (f64, f64, f64, f64, 
     let dip_hz = below.min_by(|a, b| db(*a).total_cmp(&db(*b))).unwrap_or(f64::NAN);
     let first_hz = grid.iter().copied().find(|hz| db(*hz) < -3.0103).unwrap_or(f64::NAN);
     (dip_hz, db(dip_hz), peak_hz, db(peak_hz), first_hz)
-}
-
-/// Largest value over 0.01 to 1e5 rad/s.
-fn peak(magnitude: impl Fn(f64) -> f64) -> f64 {
-    (0..70_000).map(|idx| 0.01 * 10.0_f64.powf(f64::from(idx) * 1e-4)).map(magnitude).fold(0.0, f64::max)
 }
 
 /// Real part of the rightmost pole of the loop of `plant` and PID.

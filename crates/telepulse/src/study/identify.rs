@@ -1,6 +1,6 @@
 //! Drives a rig through a sweep and hands the record to identification.
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use telepulse_design::identify::{
     BoundShape, CoverOptions, FitOptions, InputLinearisation, ModelProvenance, PlantModel, RcPole, Residual,
     SweepOptions, SweepPlan, SweepRecord, ThirdOrderFit, UncertaintyBound, Weighting, cap_additive_error,
@@ -94,7 +94,7 @@ pub fn run_sweep<R: Sensor + Drive>(
     bias: f64,
 ) -> Result<SweepRecord> {
     let mut control = open_loop(study, scale, linearisation(input), ControlLaw::OpenLoop)?;
-    let full_scale_v = study.control.max_v;
+    let full_scale_v = study.control.full_scale_v;
     let mut windows = Windows::new(plan);
     let inputs = plan.drive().map(|feedforward| CycleInputs { reference: 0.0, feedforward });
     let trip = tick_through(rig, &mut control, inputs, ErrorWatch::OFF, |tick_idx, output, _| {
@@ -143,6 +143,9 @@ impl<'a> Windows<'a> {
     }
 }
 
+/// A model that leaves more of the response than this share is no model of it.
+const RESIDUAL_MAX: f64 = 0.3;
+
 /// How far above the largest error the bound lies: room for what lies between the points.
 const BOUND_MARGIN: f64 = 1.05;
 
@@ -169,6 +172,14 @@ pub fn identify(record: SweepRecord, rc: RcTime) -> Result<Identification> {
     let fit = fit_third_order(&nominal, &options)?;
     let magnitude_fit =
         fit_third_order(&nominal, &FitOptions { residual: Residual::MagnitudeOnly, ..options })?;
+    let power = nominal.points().iter().map(|p| p.magnitude_mm_per_unit.powi(2)).sum::<f64>();
+    let share = fit.rms_complex_mm_per_unit / (power / nominal.points().len() as f64).sqrt();
+    ensure!(
+        share <= RESIDUAL_MAX,
+        "a third-order model leaves {:.0} % of the response, allowed is {:.0} %: is the phase in degrees, and negative where the output lags?",
+        100.0 * share,
+        100.0 * RESIDUAL_MAX
+    );
     let bound = bound(&record, &fit.transfer_function)?;
     Ok(Identification { record, fit, bound, magnitude_fit })
 }
@@ -239,13 +250,14 @@ pub fn plant_model(
         version: PlantModel::VERSION,
         nominal: found.fit.transfer_function.clone(),
         uncertainty: Some(found.bound.weight.clone()),
+        controlled: telepulse_design::identify::Controlled::Displacement,
         input_linearisation: input,
-        bias_unit: study.identify.bias,
+        bias_unit: found.record.bias().unwrap_or(study.identify.bias),
         bias_displacement_mm: None,
-        full_scale_v: study.control.max_v,
+        full_scale_v: study.control.full_scale_v,
         provenance: ModelProvenance::Identified {
             record: record.to_owned(),
-            n_points: found.record.points().len(),
+            n_points: found.fit.n_points,
             rms_residual_mm_per_unit: found.fit.rms_complex_mm_per_unit,
         },
     }

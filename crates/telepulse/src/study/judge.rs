@@ -3,25 +3,40 @@
 use anyhow::Result;
 use telepulse_pulse::fidelity::{LagSearch, compare};
 
+use super::config::Study;
 use super::outcome::{PulseReplay, Tracking};
 use crate::station::run::RunRecord;
 
-/// A loop that swings its drive between both ends for this share of the window has lost its stability.
-const BANG_BANG_SHARE: f64 = 0.02;
+/// A reference that asks for too much drives a loop into its ends a few times; an oscillation does so in each of its periods.
+pub const HITS_MAX: usize = 8;
+
+/// What a drive may do.
+#[derive(Debug, Clone, Copy)]
+pub struct DriveRange {
+    /// Lowest voltage.
+    pub min_v: f64,
+    /// Highest voltage.
+    pub max_v: f64,
+    /// Voltage of one unit.
+    pub full_scale_v: f64,
+}
+
+impl DriveRange {
+    /// That of a study.
+    #[must_use]
+    pub fn of(study: &Study) -> Self {
+        let control = &study.control;
+        Self { min_v: control.min_v, max_v: control.max_v, full_scale_v: control.full_scale_v }
+    }
+}
 
 /// Why a run counts as unstable, if it does.
 ///
-/// Saturation bounds the states of a simulated device, so instability shows as a limit cycle: the supervisor has tripped, or in
-/// the judged window the drive spends 2 % of the time at each end of its range, or the error is larger than the
-/// reference itself.
+/// Saturation bounds the states of a simulated device, so instability shows as a limit cycle or a burst of one: the supervisor has
+/// tripped, or in the judged window the drive runs into one of its ends more often than [`HITS_MAX`] times, or the error is larger
+/// than the reference itself.
 #[must_use]
-pub fn instability(
-    run: &RunRecord,
-    window_start: usize,
-    truth: &[f64],
-    min_v: f64,
-    max_v: f64,
-) -> Option<String> {
+pub fn instability(run: &RunRecord, window_start: usize, truth: &[f64], drive: DriveRange) -> Option<String> {
     if let Some(trip) = &run.trip {
         return Some(format!(
             "the supervisor ended the run after {:.2} s: {trip}",
@@ -29,15 +44,13 @@ pub fn instability(
         ));
     }
     let voltage = &run.voltage_v[window_start..];
-    let share = |at_end: &dyn Fn(f64) -> bool| {
-        voltage.iter().filter(|v| at_end(**v)).count() as f64 / voltage.len().max(1) as f64
-    };
-    let (low, high) = (share(&|v| v <= min_v), share(&|v| v >= max_v));
-    if low > BANG_BANG_SHARE && high > BANG_BANG_SHARE {
+    let at_end = |v: f64| v <= drive.min_v || v >= drive.max_v;
+    let hits = voltage.windows(2).filter(|pair| !at_end(pair[0]) && at_end(pair[1])).count();
+    if hits > HITS_MAX {
+        let share = voltage.iter().filter(|v| at_end(**v)).count() as f64 / voltage.len() as f64;
         return Some(format!(
-            "limit cycle: the drive spends {:.0} % of the time at its lower and {:.0} % at its upper end",
-            100.0 * low,
-            100.0 * high
+            "oscillation: the drive runs into its ends {hits} times and spends {:.1} % of the time there",
+            100.0 * share
         ));
     }
     let reference = &run.reference[window_start..];
@@ -53,16 +66,18 @@ pub fn instability(
 
 /// The figures of Table 1 over the window that starts at `window_start`, in ticks. `truth` is in the reference's unit (mm).
 #[must_use]
-pub fn tracking(run: &RunRecord, window_start: usize, truth: &[f64], min_v: f64, max_v: f64) -> Tracking {
-    if let Some(reason) = instability(run, window_start, truth, min_v, max_v) {
+pub fn tracking(run: &RunRecord, window_start: usize, truth: &[f64], drive: DriveRange) -> Tracking {
+    if let Some(reason) = instability(run, window_start, truth, drive) {
         return Tracking { unstable: true, unstable_reason: Some(reason), ..Tracking::default() };
     }
     let n = (run.len() - window_start) as f64;
     let errors = || run.reference.iter().zip(truth).skip(window_start).map(|(r, y)| (r - y).abs());
-    let effort = run.voltage_v[window_start..].iter().map(|v| (v / max_v).powi(2)).sum::<f64>() / n;
+    let effort =
+        run.voltage_v[window_start..].iter().map(|v| (v / drive.full_scale_v).powi(2)).sum::<f64>() / n;
     Tracking {
         unstable: false,
         unstable_reason: None,
+        provenance: String::new(),
         mean_abs_error_mm: Some(errors().sum::<f64>() / n),
         max_abs_error_mm: Some(errors().fold(0.0, f64::max)),
         effort_index: Some(effort),
@@ -84,10 +99,10 @@ pub fn replay(
     window_start: usize,
     controlled: &[f64],
     sign: f64,
-    limits_v: (f64, f64),
+    drive: DriveRange,
 ) -> Result<PulseReplay> {
     let recording = recording.to_owned();
-    if let Some(reason) = instability(run, window_start, controlled, limits_v.0, limits_v.1) {
+    if let Some(reason) = instability(run, window_start, controlled, drive) {
         return Ok(PulseReplay {
             recording,
             unstable: true,
@@ -102,6 +117,8 @@ pub fn replay(
         recording,
         unstable: false,
         unstable_reason: None,
+        provenance: String::new(),
+        playout_delay_ms: 0.0,
         lag_ms: Some(fidelity.lag_ms),
         nrmse: Some(fidelity.nrmse),
         nrmse_aligned: Some(fidelity.nrmse_aligned),

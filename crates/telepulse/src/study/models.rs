@@ -4,7 +4,8 @@ use anyhow::{Context, Result};
 use rayon::prelude::*;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::{
-    InputLinearisation, ModelProvenance, PlantModel, SweepRecord, UncertaintyBound, fit_first_order,
+    Controlled, InputLinearisation, ModelProvenance, PlantModel, SweepRecord, UncertaintyBound,
+    fit_first_order,
 };
 use telepulse_lti::TransferFunction;
 
@@ -107,10 +108,11 @@ impl HeldModel {
             version: PlantModel::VERSION,
             nominal: self.plant.clone(),
             uncertainty: Some(self.bound.weight.clone()),
+            controlled: Controlled::CellRelief,
             input_linearisation: input,
             bias_unit: study.identify.bias,
             bias_displacement_mm: None,
-            full_scale_v: study.control.max_v,
+            full_scale_v: study.control.full_scale_v,
             provenance: ModelProvenance::Identified {
                 record: record.to_owned(),
                 n_points: self.record.points().len(),

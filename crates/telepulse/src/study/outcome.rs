@@ -35,6 +35,8 @@ pub struct Outcome {
     pub printed: Printed,
     /// Certificates, by controller.
     pub certificates: BTreeMap<String, CertificateSummary>,
+    /// Runs in which a voltage left the study's limits.
+    pub voltage_violations: usize,
     /// 5 kV step.
     pub step: StepOutcome,
     /// By controller, then condition.
@@ -113,6 +115,8 @@ pub struct Synthesis {
 /// The printed systems (16), (17), (21), recomputed.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Printed {
+    /// Stacked norm of the printed loop with the weights (19), (20).
+    pub gamma: f64,
     /// Norm of (22).
     pub norm_ms: f64,
     /// Norm of (17).
@@ -201,6 +205,9 @@ pub struct Tracking {
     /// Mean supply power, negative currents as zero.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub average_power_w: Option<f64>,
+    /// By what right the controller ran.
+    #[serde(default)]
+    pub provenance: String,
     /// Highest voltage of the whole run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_voltage_v: Option<f64>,
@@ -220,7 +227,13 @@ pub struct PulseReplay {
     /// What told so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unstable_reason: Option<String>,
-    /// Delay of the output, positive behind.
+    /// By what right the controller ran.
+    #[serde(default)]
+    pub provenance: String,
+    /// How long the doctor's side holds the pulse back; the lag comes on top of it.
+    #[serde(default)]
+    pub playout_delay_ms: f64,
+    /// Delay of the output against the held-back pulse, positive behind.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_ms: Option<f64>,
     /// RMS error over the reference's peak-to-peak.

@@ -185,6 +185,7 @@ fn preview_settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings>
 
 fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
     Ok(RecipeSettings {
+        controlled: model.controlled,
         sample_time_s: SampleTime::new(study.sample_time_s())?,
         input_linearisation: model.input_linearisation,
         measurement_filter_rad_s: Some(std::f64::consts::TAU * study.control.filter_hz),

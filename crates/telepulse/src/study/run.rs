@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use telepulse_actuator::ParameterSet;
 use telepulse_actuator::rig::rig_assumptions;
@@ -41,6 +41,14 @@ pub struct Finished {
 /// # Errors
 /// Where a stage cannot run; then `folder` is as it was.
 pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
+    // The study drives the virtual rig, which is neither the user's device nor the user's plant: numbers of both in one report
+    // would look like one device's.
+    ensure!(
+        study.plant.is_none() && study.identify.sweep_csv.is_none(),
+        "in {}: keys `plant` and `identify.sweep_csv` describe a device of your own, and `study run` drives the virtual rig: use \
+         `telepulse identify`, `design` and `verify` with this study, or remove them",
+        study.file.display()
+    );
     // A study that cannot be transmitted is refused before hours of a real rig are spent on it.
     recording::read(&study.path(&study.pulse.recording))?;
     let staged = StagedFolder::beside(folder)?;
@@ -77,8 +85,8 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
         )?,
     };
     let steps = [
-        ("twin A, fitted to (16)", tracking::step(study, ParameterSet::A)?),
-        ("twin B, fitted to figure 9", tracking::step(study, ParameterSet::B)?),
+        ("the study's device", tracking::step(study, study.actuator.parameter_set)?),
+        ("set B, fitted to figure 9", tracking::step(study, ParameterSet::B)?),
     ];
     let transmitted = link.finish()?;
     bar.inc(1);
@@ -143,10 +151,11 @@ impl PrintedSystems {
             version: PlantModel::VERSION,
             nominal: self.plant.clone(),
             uncertainty: Some(self.uncertainty.clone()),
+            controlled: telepulse_design::identify::Controlled::Displacement,
             input_linearisation: InputLinearisation::None,
             bias_unit: study.identify.bias,
             bias_displacement_mm: None,
-            full_scale_v: study.control.max_v,
+            full_scale_v: study.control.full_scale_v,
             provenance: ModelProvenance::Given { source: "Eq. (16) and (17)".into() },
         }
         .checked()?)
@@ -193,6 +202,7 @@ fn assemble(
         synthesis_best: recipes.best.summary.clone(),
         printed: numbers,
         certificates: recipes.certificates.iter().map(|(name, c)| (name.clone(), c.summary())).collect(),
+        voltage_violations: voltage_violations(study, runs, transmitted),
         step: StepOutcome {
             peak_mm: steps[0].1.displacement_mm.iter().copied().fold(0.0, f64::max),
             at_500_ms_mm: at(&steps[0].1, 0.5)?,
@@ -226,6 +236,23 @@ fn assemble(
     drawings.extend(pulse_figures);
     drawings.extend(replay_figures(transmitted));
     Ok((outcome, drawings))
+}
+
+/// Runs in which a voltage outside of the study's limits was commanded; [`telepulse_rt::Limits`] makes that impossible, and this counts it
+/// all the same.
+fn voltage_violations(study: &Study, runs: &Runs, transmitted: &Transmitted) -> usize {
+    let tracked = runs
+        .table_1
+        .iter()
+        .chain(&runs.laser_noise)
+        .map(|r| (r.result.min_voltage_v, r.result.max_voltage_v));
+    let replayed = transmitted.replays.iter().map(|r| (r.result.min_voltage_v, r.result.max_voltage_v));
+    tracked
+        .chain(replayed)
+        .filter(|(low, high)| {
+            low.is_some_and(|v| v < study.control.min_v) || high.is_some_and(|v| v > study.control.max_v)
+        })
+        .count()
 }
 
 fn by_controller(runs: &[Tracked]) -> BTreeMap<String, BTreeMap<String, Tracking>> {
@@ -273,6 +300,7 @@ fn judge_printed(
         },
     )?;
     let numbers = Printed {
+        gamma: stacked.value,
         norm_ms: bare.norm_ms.value,
         norm_ws: bare.norm_ws.value,
         small_gain_limit: bare.small_gain_limit,
@@ -473,20 +501,35 @@ fn assumptions(study: &Study) -> Vec<Assumption> {
 }
 
 impl Finished {
-    /// True where every check of the study itself is met: bound, certificate of our designs, link, voltage.
+    /// True where every check of the study itself is met: bounds, certificates of our designs, link, and stable runs of our
+    /// designs within the voltage limits.
     #[must_use]
     pub fn passed(&self) -> bool {
-        let outcome = &self.outcome;
-        let certified =
-            ["hinf", "best"].iter().all(|name| outcome.certificates.get(*name).is_some_and(|c| c.holds));
-        let stable = CONDITIONS.iter().all(|(condition, _)| {
-            outcome
-                .tracking
-                .get("best")
-                .and_then(|runs| runs.get(*condition))
-                .is_some_and(|run| !run.unstable)
+        let o = &self.outcome;
+        let certified = ["hinf", "best", "hinf_force", "best_force"]
+            .iter()
+            .all(|name| o.certificates.get(*name).is_some_and(|c| c.holds));
+        let tracked = |table: &BTreeMap<String, BTreeMap<String, Tracking>>| {
+            ["hinf", "best"].iter().all(|name| {
+                CONDITIONS.iter().all(|(condition, _)| {
+                    table.get(*name).and_then(|runs| runs.get(*condition)).is_some_and(|run| !run.unstable)
+                })
+            })
+        };
+        let replayed = ["hinf", "best"].iter().all(|name| {
+            ["displacement", "force"].iter().all(|mode| {
+                o.pulse.get(*name).and_then(|runs| runs.get(*mode)).is_some_and(|run| !run.unstable)
+            })
         });
-        outcome.identified.bound_violations == 0 && outcome.link.bit_exact && certified && stable
+        let bounds =
+            [&o.identified, &o.identified_square_root].iter().all(|model| model.bound_violations == 0);
+        bounds
+            && certified
+            && o.link.bit_exact
+            && tracked(&o.tracking)
+            && tracked(&o.tracking_laser_noise)
+            && replayed
+            && o.voltage_violations == 0
     }
 
     /// Ten lines for the terminal.
@@ -525,8 +568,8 @@ impl Finished {
                 o.identified.bound_points
             ),
             format!(
-                "synthesis    gamma {:.5} on the printed plant (no controller below {:.5}; the printed K: 0.5728)",
-                o.synthesis.gamma_achieved, o.synthesis.gamma_lower
+                "synthesis    gamma {:.5} on the printed plant (no controller below {:.5}; the printed K: {:.4})",
+                o.synthesis.gamma_achieved, o.synthesis.gamma_lower, o.printed.gamma
             ),
             format!("certified    {}", certified.join(", ")),
             format!(

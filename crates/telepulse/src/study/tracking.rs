@@ -4,6 +4,7 @@ use anyhow::Result;
 use rayon::prelude::*;
 use telepulse_actuator::ParameterSet;
 use telepulse_actuator::twin::TwinModel;
+use telepulse_design::identify::Controlled;
 use telepulse_design::implement::ControllerRecipe;
 use telepulse_rt::{ControlLaw, InputLinearisation};
 
@@ -89,10 +90,11 @@ fn track(
         watch: device::watch(study),
     };
     let mut rig = device::displacement(study, twin, conditions)?;
-    let mut control = control::from_recipe(study, recipe, device::displacement_scale())?;
+    let mut control =
+        control::from_recipe(study, recipe, Controlled::Displacement, device::displacement_scale())?;
     let record = run(&mut rig, &mut control, &plan)?;
-    let result =
-        judge::tracking(&record, settle, &record.true_output, study.control.min_v, study.control.max_v);
+    let mut result = judge::tracking(&record, settle, &record.true_output, judge::DriveRange::of(study));
+    result.provenance = recipe.provenance().to_string();
     let trace =
         Trace::thin(&record.reference, &record.true_output, &record.voltage_v, record.sample_time_s, settle);
     Ok(Tracked { controller: name.to_owned(), condition, result, trace })
