@@ -202,7 +202,7 @@ fn synthesis_row(label: &str, s: &Synthesis) -> [Cell; 8] {
 
 fn certificate_row(controller: &str, c: &CertificateSummary) -> [Cell; 8] {
     let verdict = if c.holds {
-        "certified".to_owned()
+        format!("certified for {}", c.scope)
     } else {
         format!("uncertified: {}", c.reason.clone().unwrap_or_default())
     };

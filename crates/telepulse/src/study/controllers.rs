@@ -108,6 +108,7 @@ impl Certified {
         match self {
             Self::Judged(c) | Self::Fragile { certificate: c, .. } => CertificateSummary {
                 holds: self.objection().is_none(),
+                scope: "the bias and the amplitudes of the sweep".into(),
                 small_gain_test_passes: c.holds(),
                 reason: self.objection(),
                 norm_ms: Some(c.norm_ms.value),

@@ -133,6 +133,9 @@ pub struct CertificateSummary {
     /// Whether the loop is certified: stable inside of the bound at the bias of the sweep and, in displacement mode, stable at
     /// every other bias examined.
     pub holds: bool,
+    /// What was examined: where `holds` says something.
+    #[serde(default)]
+    pub scope: String,
     /// Whether the small-gain test passes at the bias of the sweep, by norms (23) or frequency by frequency.
     pub small_gain_test_passes: bool,
     /// Why not, where it does not.

@@ -16,7 +16,7 @@ use super::config::Study;
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
 use super::models::{self, Models};
-use super::outcome::{Assumption, Outcome, Printed, Spectrum, StepOutcome, Tracking};
+use super::outcome::{Assumption, CertificateSummary, Outcome, Printed, Spectrum, StepOutcome, Tracking};
 use super::recipes::{self, Recipes};
 use super::tracking::{self, CONDITIONS, LaserNoise, Step, Tracked};
 use super::transmission::{self, Transmitted};
@@ -201,7 +201,7 @@ fn assemble(
         synthesis_identified: recipes.hinf.summary.clone(),
         synthesis_best: recipes.best.summary.clone(),
         printed: numbers,
-        certificates: recipes.certificates.iter().map(|(name, c)| (name.clone(), c.summary())).collect(),
+        certificates: certificates(recipes),
         voltage_violations: voltage_violations(study, runs, transmitted),
         step: StepOutcome {
             peak_mm: steps[0].1.displacement_mm.iter().copied().fold(0.0, f64::max),
@@ -236,6 +236,19 @@ fn assemble(
     drawings.extend(pulse_figures);
     drawings.extend(replay_figures(transmitted));
     Ok((outcome, drawings))
+}
+
+fn certificates(recipes: &Recipes) -> BTreeMap<String, CertificateSummary> {
+    let summary = |(name, certified): (&String, &Certified)| {
+        let mut summary = certified.summary();
+        let biases = || recipes.bias_points.iter().filter(|p| p.controller == *name).map(|p| p.bias);
+        if biases().next().is_some() {
+            let (low, high) = (biases().fold(1.0, f64::min), biases().fold(0.0, f64::max));
+            summary.scope = format!("the amplitudes of the sweep, and small signals at biases {low} to {high}");
+        }
+        (name.clone(), summary)
+    };
+    recipes.certificates.iter().map(summary).collect()
 }
 
 /// Runs in which a voltage outside of the study's limits was commanded; [`telepulse_rt::Limits`] makes that impossible, and this counts it
