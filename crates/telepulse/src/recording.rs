@@ -3,9 +3,9 @@
 use std::fs::File;
 use std::path::Path;
 
-use anyhow::{Context, Result};
-use telepulse_pulse::PulseRecording;
+use anyhow::{Context, Result, ensure};
 use telepulse_pulse::formats::csv;
+use telepulse_pulse::{PulseRecording, Unit};
 
 use crate::artefact;
 
@@ -29,4 +29,25 @@ pub fn write(path: &Path, recording: &PulseRecording) -> Result<()> {
     let mut content = Vec::new();
     csv::write(recording, &mut content).with_context(|| format!("cannot write {}", path.display()))?;
     artefact::write_file(path, &content)
+}
+
+/// Units without an absolute size, in which pulse sensors deliver; any of them may be scaled to a pressure.
+const UNSCALED: [&str; 8] = ["mmHg", "au", "a.u.", "AU", "NU", "adu", "mV", "counts"];
+
+/// The pulse in Pa: as it is if it is in Pa, else scaled to a peak-to-peak pressure.
+///
+/// # Errors
+/// Where the recording does not move, or its unit is that of something else than a pulse: a length, say, would be scaled to a
+/// motion that nobody asked for.
+pub fn as_pressure(recording: &PulseRecording, peak_to_peak_pa: f64) -> Result<PulseRecording> {
+    if *recording.unit() == Unit::Pascal {
+        return Ok(recording.clone());
+    }
+    let unit = recording.unit().symbol();
+    ensure!(
+        UNSCALED.contains(&unit),
+        "column `unit`: found `{unit}`, allowed is `Pa`, or one that is scaled to the study's pulse: {}",
+        UNSCALED.join(", ")
+    );
+    Ok(recording.scaled_to_peak_to_peak(peak_to_peak_pa, Unit::Pascal)?)
 }

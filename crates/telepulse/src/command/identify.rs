@@ -11,8 +11,10 @@ use telepulse_design::identify::{InputLinearisation, SweepRecord};
 use super::{Verdict, answer};
 use crate::artefact::{self, GrowingFile};
 use crate::station::device::{self, Conditions};
+use crate::station::replay::Mode;
 use crate::study::config::Study;
 use crate::study::identify::{identify, plant_model, sweep};
+use crate::study::models::HeldModel;
 use crate::study::outcome::Identified;
 
 #[derive(Debug, Args)]
@@ -26,6 +28,9 @@ pub(super) struct IdentifyArguments {
     /// The command is the square of the voltage; the root is taken at the amplifier.
     #[arg(long)]
     square_root: bool,
+    /// What is identified: the plate under its weight, or held by the load cell.
+    #[arg(long, value_enum, default_value_t = Mode::Displacement)]
+    mode: Mode,
     /// File for the model.
     #[arg(long, value_name = "FILE", default_value = "model.json")]
     out: PathBuf,
@@ -44,6 +49,18 @@ pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
     let study = Study::load(&typed.study)?;
     let input = if typed.square_root { InputLinearisation::SquareRoot } else { InputLinearisation::None };
     let own = typed.sweep.clone().or_else(|| study.own_sweep());
+    if typed.mode == Mode::Force {
+        ensure!(
+            own.is_none(),
+            "`--mode force` sweeps the virtual rig, found a sweep of your own, allowed is none"
+        );
+        return held(&study, typed, input, json);
+    }
+    ensure!(
+        !(typed.square_root && typed.sweep.is_none() && own.is_some()),
+        "{}: found with `--square-root`, allowed without it: name the sweep with `--sweep` if its command was the square of the voltage",
+        study.at_key("identify.sweep_csv")
+    );
     let record = match (&typed.sweep, &own) {
         (Some(path), _) => read_sweep(path)?,
         (None, Some(path)) => read_sweep(path).with_context(|| study.at_key("identify.sweep_csv"))?,
@@ -84,6 +101,41 @@ pub(super) fn run(typed: &IdentifyArguments, json: bool) -> Result<Verdict> {
                 "W_s: {:?} / {:?}, above all {} points",
                 i.bound_numerator, i.bound_denominator, i.bound_points
             ),
+            format!("written: {}", answered.model),
+        ]
+    })?;
+    Ok(Verdict::Done)
+}
+
+/// A model of the plate held by the load cell.
+#[derive(Debug, Serialize)]
+struct HeldAnswer {
+    dc_gain_mm_per_unit: f64,
+    bound_violations: usize,
+    bound_points: usize,
+    bound_numerator: Vec<f64>,
+    bound_denominator: Vec<f64>,
+    model: String,
+}
+
+fn held(study: &Study, typed: &IdentifyArguments, input: InputLinearisation, json: bool) -> Result<Verdict> {
+    let found = HeldModel::measure(study, &device::twin(study)?, input)?;
+    let model = serde_json::to_vec_pretty(&found.plant_model(study, input, "virtual rig, held")?)?;
+    artefact::write_file(&typed.out, &model)?;
+    if let Some(path) = &typed.save_sweep {
+        artefact::write_file(path, found.record.to_csv().as_bytes())?;
+    }
+    let answered = HeldAnswer {
+        dc_gain_mm_per_unit: found.plant.dc_gain()?,
+        bound_violations: found.bound.violations,
+        bound_points: found.bound.points.len(),
+        bound_numerator: found.bound.weight.numerator().to_vec(),
+        bound_denominator: found.bound.weight.denominator().to_vec(),
+        model: typed.out.display().to_string(),
+    };
+    answer(json, &answered, || {
+        vec![
+            format!("G: {:.4} mm-equivalents per unit behind the circuit", answered.dc_gain_mm_per_unit),
             format!("written: {}", answered.model),
         ]
     })?;

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use telepulse_pulse::Unit;
 
 use super::{Verdict, answer};
 use crate::artefact;
@@ -34,12 +33,8 @@ pub(super) struct ReplayArguments {
 pub(super) fn run(typed: &ReplayArguments, json: bool) -> Result<Verdict> {
     let study = Study::load(&typed.study)?;
     let recipe = read_recipe(&typed.recipe)?;
-    let mut pulse = recording::read(&typed.recording)?;
-    if *pulse.unit() != Unit::Pascal {
-        pulse = pulse
-            .scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)
-            .with_context(|| format!("in {}", typed.recording.display()))?;
-    }
+    let pulse = recording::as_pressure(&recording::read(&typed.recording)?, study.pulse.peak_to_peak_pa)
+        .with_context(|| format!("in {}", typed.recording.display()))?;
     let twin = device::twin(&study)?;
     let name = typed.recipe.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let name = name.split('.').next().unwrap_or_default();

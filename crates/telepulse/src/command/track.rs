@@ -92,10 +92,6 @@ fn in_mm(study: &Study, reference: &PulseRecording) -> Result<Vec<f64>> {
             }
             telepulse_pulse::resample::resample(reference, study.control.sample_rate_hz)?.values().to_vec()
         }
-        Unit::Pascal => pulse_reference(study, reference)?,
-        _ => pulse_reference(
-            study,
-            &reference.scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, Unit::Pascal)?,
-        )?,
+        _ => pulse_reference(study, &recording::as_pressure(reference, study.pulse.peak_to_peak_pa)?)?,
     })
 }

@@ -1,6 +1,6 @@
 //! The models a study identifies, each from a sweep of its own.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use rayon::prelude::*;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::{
@@ -12,7 +12,6 @@ use telepulse_lti::TransferFunction;
 use super::bias_sweep::{self, LocalPlant};
 use super::config::{RcTime, Study};
 use super::identify::{Identification, bound, held_sweep_plan, identify, plant_model, run_sweep, sweep};
-use crate::artefact;
 use crate::station::device::{self, Conditions};
 
 /// Sweeps of a study: voltage and its square, in displacement and in force mode, and the small ones at other biases.
@@ -46,8 +45,6 @@ pub struct HeldModel {
 }
 
 /// Sweeps the rigs and fits the models, on both cores; `done` is called after each sweep.
-///
-/// With an own sweep (`identify.sweep_csv`) the voltage model comes from that.
 ///
 /// # Errors
 /// Where a rig trips or a sweep does not determine its model.
@@ -87,11 +84,6 @@ fn record(study: &Study, twin: &TwinModel, held: bool, input: InputLinearisation
         let plan = held_sweep_plan(study)?;
         return run_sweep(&mut rig, study, &plan, scale, input, study.identify.bias);
     }
-    if let (Some(own), InputLinearisation::None) = (&study.identify.sweep_csv, input) {
-        let path = study.path(own);
-        return SweepRecord::from_csv(&artefact::read_text(&path)?)
-            .with_context(|| format!("in {}", path.display()));
-    }
     let mut rig = device::displacement(study, twin, Conditions::default())?;
     sweep(&mut rig, study, device::displacement_scale(), input)
 }
@@ -103,7 +95,24 @@ impl HeldModel {
         Ok(Self { record, plant: fit.transfer_function, bound, rms_residual: fit.rms_residual })
     }
 
-    fn plant_model(&self, study: &Study, input: InputLinearisation, record: &str) -> Result<PlantModel> {
+    /// Sweeps the study's held plate and fits its model; the circuit's time constant must be known.
+    ///
+    /// # Errors
+    /// Where the rig trips, the study leaves the circuit to the fit, or no bound exists.
+    pub fn measure(study: &Study, twin: &TwinModel, input: InputLinearisation) -> Result<Self> {
+        let RcTime::Known(rc_s) = study.identify.rc_s else {
+            bail!(
+                "key `identify.rc_s`: found \"free\", allowed is a time constant in s: a held plate does not determine it"
+            );
+        };
+        Self::fit(record(study, twin, true, input)?, rc_s)
+    }
+
+    /// The model as a file for later stages.
+    ///
+    /// # Errors
+    /// Where a number is out of its range.
+    pub fn plant_model(&self, study: &Study, input: InputLinearisation, record: &str) -> Result<PlantModel> {
         Ok(PlantModel {
             version: PlantModel::VERSION,
             nominal: self.plant.clone(),

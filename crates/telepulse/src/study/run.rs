@@ -244,7 +244,8 @@ fn certificates(recipes: &Recipes) -> BTreeMap<String, CertificateSummary> {
         let biases = || recipes.bias_points.iter().filter(|p| p.controller == *name).map(|p| p.bias);
         if biases().next().is_some() {
             let (low, high) = (biases().fold(1.0, f64::min), biases().fold(0.0, f64::max));
-            summary.scope = format!("the amplitudes of the sweep, and small signals at biases {low} to {high}");
+            summary.scope =
+                format!("the amplitudes of the sweep, and small signals at biases {low} to {high}");
         }
         (name.clone(), summary)
     };

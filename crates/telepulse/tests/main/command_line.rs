@@ -517,6 +517,24 @@ fn edge_a_recipe_that_is_not_what_it_was() {
 }
 
 #[test]
+fn edge_a_reference_in_a_unit_that_would_be_scaled_silently() {
+    let bench = Bench::with_artefacts();
+    for unit in ["um", "cm", "m", "V"] {
+        bench.put("other.csv", &bench.text("reference.csv").replace(",mm\n", &format!(",{unit}\n")));
+        let named = ["other.csv", "column `unit`", unit, "`Pa`", "mmHg"];
+        bench.refused(&["track", "h.recipe.json", "--reference", "other.csv", "--study", "st"], &named);
+        bench.refused(&["replay", "h.recipe.json", "other.csv", "--study", "st"], &named);
+    }
+}
+
+#[test]
+fn edge_a_study_of_a_device_that_the_rig_is_not() {
+    let bench = Bench::new();
+    bench.edit_study("[weights]", &plant("1350.14", "0.0045, 1.07182, 22.458, 1444.0", "1.0, 45.0, 2500.0"));
+    bench.refused(&["study", "run", "st", "--out", "made"], &["study.toml", "`plant`", "virtual rig"]);
+}
+
+#[test]
 fn edge_a_recipe_for_another_study() {
     let bench = Bench::with_artefacts();
     bench.edit_study("sample_rate_hz = 2000.0", "sample_rate_hz = 1000.0");
@@ -527,9 +545,15 @@ fn edge_a_recipe_for_another_study() {
     );
     bench.refused(&["track", "h.recipe.json", "--reference", "reference.csv", "--study", "st"], &named);
     bench.edit_study("sample_rate_hz = 1000.0", "sample_rate_hz = 2000.0");
-    bench.edit_study("max_v = 5000.0", "max_v = 4000.0");
+    bench.edit_study("\nmax_v = 5000.0", "\nmax_v = 4000.0");
+    bench.edit_study("amplitudes = [0.2, 0.4, 0.5]", "amplitudes = [0.2]");
     let named = ["h.recipe.json", "study.toml", "0 to 5000 V", "0 to 4000 V"];
-    bench.refused(&["replay", "h.recipe.json", "pulse.csv", "--study", "st", "--mode", "force"], &named);
+    bench.refused(&["replay", "h.recipe.json", "pulse.csv", "--study", "st"], &named);
+    // The same controller in the other mode would be a certified recipe in front of another plant.
+    bench.refused(
+        &["replay", "h.recipe.json", "pulse.csv", "--study", "st", "--mode", "force"],
+        &["h.recipe.json", "the displacement of the plate", "the relief of the load cell"],
+    );
 }
 
 #[test]
@@ -762,9 +786,10 @@ fn oracle_every_stage_starts_from_the_files_of_the_one_before() {
     // The printed controller reaches 0.011 mm on (25), which is slower than this reference.
     assert!(error_mm < 0.05, "{error_mm}");
     parse("t.json");
-    for mode in ["displacement", "force"] {
-        let replay =
-            ["replay", "h.recipe.json", "pulse.csv", "--study", "st", "--mode", mode, "--out", "r.json"];
+    bench.json(&["identify", "--mode", "force", "--study", "st", "--out", "held.json"]);
+    bench.json(&["design", "held.json", "--study", "st", "--out", "f.recipe.json"]);
+    for (mode, recipe) in [("displacement", "h.recipe.json"), ("force", "f.recipe.json")] {
+        let replay = ["replay", recipe, "pulse.csv", "--study", "st", "--mode", mode, "--out", "r.json"];
         let answer = bench.json(&replay);
         let nrmse = answer["nrmse"].as_f64().expect("a number");
         assert!(nrmse < 0.2, "{mode}: {nrmse}");
@@ -819,7 +844,8 @@ fn end(mut child: Child) -> (Option<i32>, String, String) {
 fn oracle_a_pulse_crosses_to_another_process_bit_for_bit() {
     let bench = Bench::with_artefacts();
     fs::create_dir(bench.path("recipes")).expect("a new folder");
-    fs::copy(bench.path("h.recipe.json"), bench.path("recipes/hinf.force.recipe.json")).expect("copied");
+    fs::copy(bench.path("h.recipe.json"), bench.path("recipes/hinf.displacement.recipe.json"))
+        .expect("copied");
     let (doctor, address) = listen(&bench, &["--study", "st", "--recipes", "recipes", "--timeout-s", "30"]);
     let sent = bench.json(&["send", "pulse.csv", "--to", &address, "--peak-to-peak-pa", "800"]);
     let (code, answered, said) = end(doctor);

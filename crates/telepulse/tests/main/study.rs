@@ -161,7 +161,12 @@ fn law_voltage_stays_within_0_and_5_kv_in_every_run() {
             }
         }
     }
-    assert!(runs >= 36, "only {runs} runs have figures");
+    // Without figures are the PIDs: the hand-set one always, the tool's in most runs.
+    assert!(runs >= 30, "only {runs} runs have figures");
+    for condition in CONDITIONS {
+        assert_eq!(ran().report["tracking_laser_noise"]["pid_auto"][condition]["unstable"], true);
+        assert_eq!(ran().report["tracking"]["pid_manual"][condition]["unstable"], true);
+    }
 }
 
 #[test]
