@@ -410,6 +410,14 @@ impl Study {
         }
         within("reference.settle_s", reference.settle_s, 0.0, 1000.0)?;
         within("reference.window_s", reference.window_s, 0.1, 1000.0)?;
+        let n_ticks = (reference.settle_s + reference.window_s) * self.control.sample_rate_hz;
+        ensure!(
+            n_ticks <= N_TICKS_MAX,
+            "key `reference.window_s`: found {} s after {} s at {} Hz, allowed are up to {N_TICKS_MAX} ticks in all",
+            reference.window_s,
+            reference.settle_s,
+            self.control.sample_rate_hz
+        );
         within("conditions.disturbance_n", self.conditions.disturbance_n, -1.0, 1.0)?;
         within("conditions.disturbance_start_s", self.conditions.disturbance_start_s, 0.0, 2000.0)?;
         within("conditions.noise_mm", self.conditions.noise_mm, 0.0, 1.0)?;
@@ -484,6 +492,9 @@ fn key_in(value: &DeValue<'_>, byte: usize, path: &mut Vec<String>) -> bool {
         _ => false,
     }
 }
+
+/// A run is kept in memory while it is judged: six series of this length are 48 MB.
+const N_TICKS_MAX: f64 = 1e6;
 
 /// Refuses a value that is no number or lies outside of its range.
 fn within(key: &str, value: f64, min: f64, max: f64) -> Result<()> {
