@@ -81,7 +81,8 @@ impl Limits {
 
     /// The allowed voltage nearest to `request_v`, at most `slew_v_per_s * dt_s` away from `previous`.
     ///
-    /// A request that is not a number yields the lowest voltage, within the slew limit.
+    /// A request that is not a number yields the lowest voltage, within the slew limit. From [`off`](Self::off) the range comes
+    /// before the slew limit: the first voltage may be `min_v` at once.
     #[must_use]
     pub fn clamp(&self, request_v: f64, previous: DriveVoltage, dt_s: f64) -> Limited {
         let wanted_v = if request_v.is_nan() { self.min_v } else { request_v };
@@ -118,8 +119,8 @@ mod tests {
                 let limited = limits.clamp(request_v, previous, dt_s);
                 let volts = limited.voltage.volts();
                 assert!(volts >= limits.min_v && volts <= limits.max_v, "seed {seed}: {volts}");
-                // One rounding of the bound.
-                let step_v = (volts - previous.volts()).abs();
+                // One rounding of the bound. From the off state the range comes first: there is no allowed voltage below it.
+                let step_v = (volts - previous.volts().max(min_v)).abs();
                 assert!(step_v <= limits.slew_v_per_s * dt_s + 1e-9, "seed {seed}: step {step_v}");
                 assert_eq!(limited.saturated, volts != request_v, "seed {seed}: request {request_v}");
                 previous = limited.voltage;

@@ -316,7 +316,7 @@ mod tests {
         let supervisor = Supervisor::new(SETTINGS, limits()).expect("valid settings");
         let tripped = supervisor.arm(&mut rig, MonotonicNs(0)).expect_err("sensor is stale");
         assert_eq!(tripped.reason(), TripReason::Sensor(SensorFault::Stale));
-        assert_eq!((tripped.voltage().volts(), rig.voltage_v), (100.0, 100.0));
+        assert_eq!((tripped.voltage().volts(), rig.voltage_v), (0.0, 0.0));
         rig.reading = Ok(Reading { value: 1.0 });
         assert!(tripped.acknowledge().arm(&mut rig, MonotonicNs(0)).is_ok());
     }
@@ -343,7 +343,7 @@ mod tests {
         assert_eq!(n_ok, 17);
         let reason = trip.expect("must trip");
         assert_eq!(reason, TripReason::TrackingError { error: 1.0, limit: 0.5, allowed_s: 0.01 });
-        assert_eq!((rig.voltage_v, control.tripped()), (100.0, Some(reason)));
+        assert_eq!((rig.voltage_v, control.tripped()), (0.0, Some(reason)));
         assert_eq!(supervisor.trip(reason).reason(), reason);
     }
 
@@ -359,7 +359,7 @@ mod tests {
                 supervisor.tick(&mut rig, &mut control, MonotonicNs(now), inputs).expect_err("must trip");
             assert_eq!(matches!(reason, TripReason::CycleOverrun { .. }), late);
             assert_eq!(matches!(reason, TripReason::ClockStep { .. }), !late);
-            assert_eq!(rig.voltage_v, 100.0);
+            assert_eq!(rig.voltage_v, 0.0);
         }
     }
 
@@ -367,8 +367,8 @@ mod tests {
     fn edge_operator_stop_and_finish() {
         let mut rig = healthy();
         let tripped = running(&mut rig).trip(TripReason::OperatorStop);
-        assert_eq!((tripped.reason(), tripped.voltage().volts()), (TripReason::OperatorStop, 100.0));
-        assert_eq!(running(&mut rig).finish().voltage().volts(), 100.0);
+        assert_eq!((tripped.reason(), tripped.voltage().volts()), (TripReason::OperatorStop, 0.0));
+        assert_eq!(running(&mut rig).finish().voltage().volts(), 0.0);
     }
 
     #[test]
