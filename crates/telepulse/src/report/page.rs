@@ -378,7 +378,7 @@ fn why_not_robust(outcome: &Outcome) -> String {
 
 fn pulse(page: ReportPage, outcome: &Outcome) -> ReportPage {
     let mut table = Table::new(
-        "Replay of the real pulse",
+        "Replay of the real pulse; the lag comes on top of the play-out delay",
         [
             "mode",
             "controller",
