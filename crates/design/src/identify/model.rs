@@ -102,14 +102,17 @@ impl PlantModel {
     /// The same model, once its version and ranges have been found good.
     ///
     /// # Errors
-    /// [`Error::Version`] or [`Error::OutOfRange`].
+    /// [`Error::Version`], [`Error::NegativeGain`], [`Error::ZeroBound`] or [`Error::OutOfRange`].
     pub fn checked(self) -> Result<Self> {
         if self.version != Self::VERSION {
             return Err(Error::Version { what: "plant model", found: self.version, allowed: Self::VERSION });
         }
-        let dc_gain = self.nominal.dc_gain()?;
-        if dc_gain.is_nan() || dc_gain <= 0.0 {
-            return Err(Error::NegativeGain { dc_gain });
+        // Only a stable plant has a gain at rest.
+        if self.nominal.is_stable()? {
+            let dc_gain = self.nominal.dc_gain()?;
+            if dc_gain.is_nan() || dc_gain <= 0.0 {
+                return Err(Error::NegativeGain { dc_gain });
+            }
         }
         if self.uncertainty.as_ref().is_some_and(|bound| bound.numerator().iter().all(|c| *c == 0.0)) {
             return Err(Error::ZeroBound);

@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
-use telepulse_design::identify::{ModelProvenance, PlantModel};
+use telepulse_design::identify::PlantModel;
 
 use super::{Verdict, answer};
 use crate::artefact;
 use crate::study::config::Study;
 use crate::study::controllers::{certify, synthesize};
+use crate::study::models::given;
 use crate::study::outcome::{CertificateSummary, Synthesis};
 use crate::study::recipes::feedback_recipe;
 
@@ -80,15 +81,7 @@ pub(super) fn model(study: &Study, file: Option<&PathBuf>) -> Result<PlantModel>
             study.at_key("plant")
         )
     })?;
-    Ok(PlantModel {
-        version: PlantModel::VERSION,
-        nominal: own.nominal.to_transfer_function("plant.nominal")?,
-        uncertainty: Some(own.uncertainty.to_transfer_function("plant.uncertainty")?),
-        controlled: telepulse_design::identify::Controlled::Displacement,
-        input_linearisation: telepulse_design::identify::InputLinearisation::None,
-        bias_unit: study.identify.bias,
-        bias_displacement_mm: None,
-        full_scale_v: study.control.full_scale_v,
-        provenance: ModelProvenance::Given { source: "[plant] of study.toml".into() },
-    })
+    let nominal = own.nominal.to_transfer_function("plant.nominal")?;
+    let uncertainty = own.uncertainty.to_transfer_function("plant.uncertainty")?;
+    given(study, nominal, uncertainty, "[plant] of study.toml").with_context(|| study.at_key("plant"))
 }

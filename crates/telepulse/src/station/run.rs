@@ -55,8 +55,6 @@ pub struct RunRecord {
     pub voltage_v: Vec<f64>,
     /// Supply power.
     pub power_w: Vec<f64>,
-    /// Ticks in which the command was limited.
-    pub saturated_ticks: usize,
     /// Why the supervisor ended the run, if it did.
     pub trip: Option<String>,
 }
@@ -152,7 +150,6 @@ pub fn run<R: Sensor + Drive + Truth>(
         record.measured.push(output.measured);
         record.voltage_v.push(output.voltage_v);
         record.power_w.push(rig.supply_power_w());
-        record.saturated_ticks += usize::from(output.saturated);
     })?;
     record.trip = trip.map(|reason| reason.to_string());
     Ok(record)

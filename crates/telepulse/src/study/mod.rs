@@ -4,6 +4,7 @@ pub mod bias_sweep;
 pub mod config;
 pub mod controllers;
 pub mod disagreements;
+mod drawings;
 pub mod identify;
 pub mod judge;
 pub mod models;

@@ -166,3 +166,27 @@ pub const MODEL_FILES: [&str; 4] = [
     "identify/model_force.json",
     "identify/model_force_square_root.json",
 ];
+
+/// A plant that was not identified here, with voltage as its command.
+///
+/// # Errors
+/// Where the plant or its bound is refused.
+pub fn given(
+    study: &Study,
+    nominal: TransferFunction,
+    uncertainty: TransferFunction,
+    source: &str,
+) -> Result<PlantModel> {
+    Ok(PlantModel {
+        version: PlantModel::VERSION,
+        nominal,
+        uncertainty: Some(uncertainty),
+        controlled: Controlled::Displacement,
+        input_linearisation: InputLinearisation::None,
+        bias_unit: study.identify.bias,
+        bias_displacement_mm: None,
+        full_scale_v: study.control.full_scale_v,
+        provenance: ModelProvenance::Given { source: source.to_owned() },
+    }
+    .checked()?)
+}

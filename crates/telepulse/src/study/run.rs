@@ -1,22 +1,21 @@
 //! Runs a study from the device to the report.
 
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use telepulse_actuator::ParameterSet;
 use telepulse_actuator::rig::rig_assumptions;
-use telepulse_design::identify::{InputLinearisation, ModelProvenance, PlantModel};
+use telepulse_design::identify::PlantModel;
 use telepulse_lti::{StateSpace, TransferFunction};
-use telepulse_pulse::spectrum::{Spectrum as LineSpectrum, Window};
 
 use super::config::Study;
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
+use super::drawings;
 use super::models::{self, Models};
-use super::outcome::{Assumption, CertificateSummary, Outcome, Printed, Spectrum, StepOutcome, Tracking};
+use super::outcome::{Assumption, CertificateSummary, Outcome, Printed, StepOutcome, Tracking};
 use super::recipes::{self, Recipes};
 use super::tracking::{self, CONDITIONS, LaserNoise, Step, Tracked};
 use super::transmission::{self, Transmitted};
@@ -92,9 +91,9 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     bar.inc(1);
 
     bar.set_message("report");
-    let (outcome, drawings) = assemble(study, &models, &recipes, &tracked, &steps, &transmitted)?;
-    report::write_data(staged.path(), &outcome, &drawings)?;
-    report::write(staged.path(), &outcome, &drawings)?;
+    let (outcome, drawn) = assemble(study, &models, &recipes, &tracked, &steps, &transmitted)?;
+    report::write_data(staged.path(), &outcome, &drawn)?;
+    report::write(staged.path(), &outcome, &drawn)?;
     let folder = staged.commit()?;
     bar.finish_and_clear();
     Ok(Finished { outcome, folder })
@@ -147,18 +146,7 @@ struct PrintedSystems {
 
 impl PrintedSystems {
     fn model(&self, study: &Study) -> Result<PlantModel> {
-        Ok(PlantModel {
-            version: PlantModel::VERSION,
-            nominal: self.plant.clone(),
-            uncertainty: Some(self.uncertainty.clone()),
-            controlled: telepulse_design::identify::Controlled::Displacement,
-            input_linearisation: InputLinearisation::None,
-            bias_unit: study.identify.bias,
-            bias_displacement_mm: None,
-            full_scale_v: study.control.full_scale_v,
-            provenance: ModelProvenance::Given { source: "Eq. (16) and (17)".into() },
-        }
-        .checked()?)
+        models::given(study, self.plant.clone(), self.uncertainty.clone(), "Eq. (16) and (17)")
     }
 
     fn of(study: &Study) -> Result<Self> {
@@ -186,7 +174,7 @@ fn assemble(
         let idx = (t_s * study.control.sample_rate_hz).round() as usize;
         step.displacement_mm.get(idx).copied().context("the step is shorter than it should be")
     };
-    let (pulse_spectrum, pulse_figures) = pulse_figures(study)?;
+    let (pulse_spectrum, pulse_figures) = drawings::pulse_figures(study)?;
     let mut outcome = Outcome {
         version: report::VERSION,
         program: format!("telepulse {VERSION}"),
@@ -225,17 +213,17 @@ fn assemble(
             .or_default()
             .insert(replay.mode.word().to_owned(), replay.result.clone());
     }
-    let mut drawings = vec![
-        step_figure(steps, &printed.plant)?,
+    let mut figures_drawn = vec![
+        drawings::step_figure(steps, &printed.plant)?,
         figures::frequency_response(&models.voltage, &printed.plant),
         figures::uncertainty(&models.voltage.bound, &printed.uncertainty),
-        closed_loop_figure(recipes.shaped_loops())?,
+        drawings::closed_loop_figure(recipes.shaped_loops())?,
     ];
-    drawings.push(figures::bias_sweep(&recipes.bias_points));
-    drawings.extend(tracking_figures(&runs.table_1));
-    drawings.extend(pulse_figures);
-    drawings.extend(replay_figures(transmitted));
-    Ok((outcome, drawings))
+    figures_drawn.push(figures::bias_sweep(&recipes.bias_points));
+    figures_drawn.extend(drawings::tracking_figures(&runs.table_1));
+    figures_drawn.extend(pulse_figures);
+    figures_drawn.extend(drawings::replay_figures(transmitted));
+    Ok((outcome, figures_drawn))
 }
 
 fn certificates(recipes: &Recipes) -> BTreeMap<String, CertificateSummary> {
@@ -321,147 +309,6 @@ fn judge_printed(
         frequency_wise: bare.frequency_wise.value,
     };
     Ok((numbers, list))
-}
-
-fn step_figure(steps: &[(&str, Step)], model: &TransferFunction) -> Result<Figure> {
-    let shown_s = 3.0;
-    let devices: Vec<(String, Vec<f64>, Vec<f64>)> = steps
-        .iter()
-        .map(|(name, step)| {
-            let kept = || (0..step.time_s.len()).step_by(4).take_while(|k| step.time_s[*k] <= shown_s);
-            (
-                (*name).to_owned(),
-                kept().map(|k| step.time_s[k]).collect(),
-                kept().map(|k| step.displacement_mm[k]).collect(),
-            )
-        })
-        .collect();
-    let response = model.to_state_space().step_response(0, shown_s, telepulse_lti::SampleTime::new(2e-3)?)?;
-    let linear_mm: Vec<f64> = response.outputs.column(0).iter().copied().collect();
-    Ok(figures::step(&devices, (&response.time_s, &linear_mm)))
-}
-
-fn closed_loop_figure(loops: &[recipes::Loop]) -> Result<Figure> {
-    let hz: Vec<f64> = (0..400).map(|idx| 0.05 * (50.0_f64 / 0.05).powf(f64::from(idx) / 399.0)).collect();
-    let curves = loops
-        .iter()
-        .map(|one| {
-            let (mut t, mut ks) = (Vec::with_capacity(hz.len()), Vec::with_capacity(hz.len()));
-            for hz in &hz {
-                let omega = TAU * hz;
-                let (g, k, f) =
-                    (one.plant.at(omega), one.controller.at(omega)?[(0, 0)], one.filter.at(omega));
-                let sensitivity = 1.0 / (1.0 + g * k * f);
-                t.push(g * k * sensitivity);
-                ks.push(k * sensitivity);
-            }
-            Ok((one.controller_name.clone(), t, ks))
-        })
-        .collect::<Result<Vec<_>>>()?;
-    Ok(figures::closed_loop(&curves, &hz))
-}
-
-fn tracking_figures(tracked: &[Tracked]) -> Vec<Figure> {
-    let traces = |condition: &str| -> figures::Traces {
-        tracked
-            .iter()
-            .filter(|run| run.condition == condition)
-            .map(|run| (run.controller.clone(), run.trace.clone()))
-            .collect()
-    };
-    let main = ["printed_k", "hinf", "best"];
-    vec![
-        figures::tracking(
-            "fig13-tracking",
-            "Tracking of (25) (counterpart of figure 13)",
-            "Normal condition. The true displacement, not the measured one.",
-            &traces("normal"),
-            &main,
-        ),
-        figures::tracking(
-            "fig14-pid",
-            "Tracking of (25) with PID (counterpart of figure 14)",
-            "The paper's two sets of gains, with the filter (26). A run that the supervisor ends stops early.",
-            &traces("normal"),
-            &["pid_auto", "pid_manual"],
-        ),
-        figures::tracking(
-            "fig15-disturbance-noise",
-            "Tracking of (25) under disturbance and noise (counterpart of figure 15)",
-            "A constant force on the plate and a 50 Hz sine on the sensor. The true displacement, not the measured one.",
-            &traces("both"),
-            &main,
-        ),
-    ]
-}
-
-fn pulse_figures(study: &Study) -> Result<(Spectrum, Vec<Figure>)> {
-    let pulse = recording::read(&study.path(&study.pulse.recording))?
-        .scaled_to_peak_to_peak(study.pulse.peak_to_peak_pa, telepulse_pulse::Unit::Pascal)?;
-    let beats = telepulse_pulse::beats::detect(&pulse)?;
-    let feet_s: Vec<f64> = beats.beats.iter().map(|beat| beat.foot_s).collect();
-    let feet_pa: Vec<f64> = beats.beats.iter().map(|beat| beat.foot_value).collect();
-    let mean = pulse.mean();
-    let centred: Vec<f64> = pulse.values().iter().map(|p| p - mean).collect();
-    let spectrum = LineSpectrum::of(&centred, pulse.sample_rate_hz(), Window::Hann)?;
-    let strongest = spectrum.amplitudes().iter().copied().fold(0.0, f64::max);
-    let peaks: Vec<_> = spectrum
-        .peaks(0.08 * strongest)
-        .into_iter()
-        .filter(|peak| peak.frequency_hz > 0.7 && peak.frequency_hz < 10.0)
-        .collect();
-    let marks: Vec<(f64, f64)> = peaks.iter().map(|peak| (peak.frequency_hz, peak.amplitude)).collect();
-    let found = Spectrum {
-        heart_rate_bpm: beats.heart_rate_bpm,
-        beats: beats.beats.len(),
-        peaks_hz: peaks.iter().map(|peak| peak.frequency_hz).collect(),
-    };
-    let figures = vec![
-        figures::pulse(&pulse.times_s(), pulse.values(), &feet_s, &feet_pa),
-        figures::spectrum(&spectrum.frequencies_hz(), spectrum.amplitudes(), &marks),
-    ];
-    Ok((found, figures))
-}
-
-fn replay_figures(transmitted: &Transmitted) -> Vec<Figure> {
-    let traces = |mode: Mode| -> figures::Traces {
-        transmitted
-            .replays
-            .iter()
-            .filter(|r| r.mode == mode)
-            .map(|r| (r.controller.clone(), r.trace.clone()))
-            .collect()
-    };
-    let displacement = traces(Mode::Displacement);
-    vec![
-        figures::replay(
-            "fig18-displacement",
-            "Pulse replayed in displacement mode (counterpart of figure 18)",
-            "Eight of forty seconds: received over the link, replayed on the virtual rig with weight and laser.",
-            "displacement, mm",
-            &displacement,
-            10.0,
-            18.0,
-        ),
-        figures::replay(
-            "fig20-force",
-            "Pulse replayed in force mode (counterpart of figure 20)",
-            "The same eight seconds: pressure on the load cell that holds the plate.",
-            "pressure, Pa",
-            &traces(Mode::Force),
-            10.0,
-            18.0,
-        ),
-        figures::replay(
-            "tracked-pulse",
-            "A patient's pulse, felt at a distance",
-            "Four seconds of the replay in displacement mode: the printed controller lags, preview removes the lag.",
-            "displacement, mm",
-            &displacement,
-            10.0,
-            14.0,
-        ),
-    ]
 }
 
 fn inputs(study: &Study) -> Result<BTreeMap<String, String>> {

@@ -449,7 +449,9 @@ fn plant(numerator: &str, denominator: &str, bound_denominator: &str) -> String 
 #[test]
 fn edge_an_own_plant_that_cannot_be_controlled() {
     let bound = "1.0, 45.0, 2500.0";
-    let cases: [(String, &[&str]); 6] = [
+    let cases: [(String, &[&str]); 7] = [
+        // It moves against its command: a certified controller would run it into its limits.
+        (plant("-1350.14", "0.0045, 1.07182, 22.458, 1444.0", bound), &["key `plant`", "positive", "-0.93"]),
         // Two integrators: a controller of this kind cannot act on what the weights do not see.
         (plant("1.0", "1.0, 0.0, 0.0", bound), &["key `weights` with `plant`", "no H-infinity controller"]),
         // The unstable pole at 1 rad/s is cancelled by a zero: no feedback sees or moves it.
