@@ -388,6 +388,16 @@ pub enum Error {
         /// The limit in rad/s.
         limit_rad_s: f64,
     },
+    /// No design within the allowed relaxation keeps the controller's gain below the limit.
+    #[error("controller gain must be at most {limit}, found {gain} at gamma {gamma}")]
+    ControllerGainTooHigh {
+        /// Gamma of the last design.
+        gamma: f64,
+        /// Its peak gain.
+        gain: f64,
+        /// The limit.
+        limit: f64,
+    },
 
     // ---- verify ----
     /// The closed loop is not stable, so it has no certificate.

@@ -5,6 +5,7 @@ use telepulse_lti::{Continuous, GeneralizedPlant, PeakGain, StateSpace, hinf_nor
 
 use super::assumptions::{self, Strictness};
 use super::central_controller::{Condition, Feasible, Test, parrott_bound, test};
+use super::controller_gain::peak_gain;
 use super::controller_speed::slowed_down;
 use super::normalized_plant::NormalizedPlant;
 use crate::Error;
@@ -22,8 +23,14 @@ pub struct HinfOptions {
     /// Fastest controller pole allowed, in rad/s (default: no limit). Modes beyond it are replaced by their static gain
     /// where the loop bears that, else gamma is relaxed up to [`HinfOptions::relaxation_max`].
     pub max_controller_pole_rad_s: Option<f64>,
+    /// Largest controller gain allowed, the peak over frequency of its largest singular value (default: no limit).
+    /// A controller that is not stable has no such peak; its gain is then the largest on the imaginary axis.
+    pub max_controller_gain: Option<f64>,
     /// Largest factor on the bracket's upper end to which gamma may be relaxed. Default 2.
     pub relaxation_max: f64,
+    /// What to do where `D12`, `D21` or a zero on the imaginary axis makes the problem singular. Default
+    /// [`SingularProblem::Regularize`].
+    pub singular: SingularProblem,
 }
 
 impl Default for HinfOptions {
@@ -33,9 +40,47 @@ impl Default for HinfOptions {
             gamma_tolerance: 1e-6,
             gamma_max: 1e9,
             max_controller_pole_rad_s: None,
+            max_controller_gain: None,
             relaxation_max: 2.0,
+            singular: SingularProblem::Regularize,
         }
     }
+}
+
+/// What to do about a singular problem, whose smallest norm is only approached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SingularProblem {
+    /// Solve a nearby regular problem and measure its controller on the plant as given.
+    Regularize,
+    /// Refuse with [`Error::SingularD12`], [`Error::SingularD21`] or [`Error::AxisZero`].
+    Refuse,
+}
+
+/// What was added to a singular plant to make it solvable, and what it led to.
+///
+/// Signals are appended to `z` and `w` whose size is `epsilon` times the plant's own; the controller of the enlarged
+/// plant is used on the plant as given, whose norm is at most that of the enlarged one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Regularization {
+    /// Size of what was added relative to the plant's own direct terms.
+    pub epsilon: f64,
+    /// Whether the control input needed a direct weight (`D12`).
+    pub d12: Repaired,
+    /// Whether the measurement needed noise (`D21`).
+    pub d21: Repaired,
+    /// Whether zeros on the imaginary axis needed weights or disturbances of the states.
+    pub axis_zeros: Repaired,
+    /// Smallest norm of the enlarged plant that some controller is known to reach.
+    pub gamma_enlarged: f64,
+}
+
+/// Whether a part of the plant had to be repaired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repaired {
+    /// It was regular.
+    No,
+    /// It was singular and something was added.
+    Yes,
 }
 
 /// A controller and the evidence for it.
@@ -57,6 +102,8 @@ pub struct HinfDesign {
     pub binding_condition: Option<Condition>,
     /// Feasibility tests spent on the bracket.
     pub n_feasibility_tests: usize,
+    /// What was added to a singular plant to make it solvable; `None` for a regular one.
+    pub regularization: Option<Regularization>,
     /// Controller modes that were replaced by their static gain to satisfy `max_controller_pole_rad_s`.
     pub n_residualized: usize,
     /// Norm of `X1ᵀ X2 - X2ᵀ X1` of the worse of the two subspaces: rounding of the design.
@@ -88,7 +135,7 @@ impl HinfDesign {
 ///
 /// **Errors**: [`Error::SingularD12`], [`Error::SingularD21`], [`Error::NotStabilizable`], [`Error::NotDetectable`],
 /// [`Error::AxisZero`], [`Error::Infeasible`], [`Error::NotConverged`], [`Error::IllConditioned`],
-/// [`Error::ControllerTooFast`], [`Error::OutOfRange`] for options.
+/// [`Error::ControllerTooFast`], [`Error::ControllerGainTooHigh`], [`Error::OutOfRange`] for options.
 ///
 /// **Example**
 /// ```
@@ -113,7 +160,7 @@ pub fn hinfsyn(plant: &GeneralizedPlant, options: &HinfOptions) -> Result<HinfDe
     let mut last = Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper };
     for _ in 0..DESIGNS_MAX {
         let gamma = factor * gamma_floor;
-        match Attempt::new(plant, &normalized, gamma, options.max_controller_pole_rad_s) {
+        match Attempt::new(plant, &normalized, gamma, options) {
             Ok(attempt) => {
                 return Ok(HinfDesign {
                     controller: attempt.controller,
@@ -124,11 +171,16 @@ pub fn hinfsyn(plant: &GeneralizedPlant, options: &HinfOptions) -> Result<HinfDe
                     closed_loop_poles: attempt.closed_loop_poles,
                     binding_condition: bracket.binding,
                     n_feasibility_tests: bracket.n_tests,
+                    regularization: None,
                     n_residualized: attempt.n_residualized,
                     isotropy_error: attempt.isotropy_error,
                 });
             }
-            Err(error @ (Error::IllConditioned { .. } | Error::ControllerTooFast { .. })) => last = error,
+            Err(
+                error @ (Error::IllConditioned { .. }
+                | Error::ControllerTooFast { .. }
+                | Error::ControllerGainTooHigh { .. }),
+            ) => last = error,
             Err(error) => return Err(error),
         }
         if factor >= options.relaxation_max {
@@ -143,8 +195,7 @@ fn check_options(options: &HinfOptions) -> Result<(), Error> {
     let range = |key, found: f64, valid: bool, allowed| {
         if valid { Ok(()) } else { Err(Error::OutOfRange { key, found, allowed }) }
     };
-    let HinfOptions { backoff, gamma_tolerance, gamma_max, max_controller_pole_rad_s, relaxation_max } =
-        *options;
+    let &HinfOptions { backoff, gamma_tolerance, gamma_max, relaxation_max, .. } = options;
     range("backoff", backoff, backoff > 1.0 && backoff.is_finite(), "above 1")?;
     range("gamma_tolerance", gamma_tolerance, (1e-12..=0.1).contains(&gamma_tolerance), "from 1e-12 to 0.1")?;
     range("gamma_max", gamma_max, gamma_max > 0.0 && gamma_max.is_finite(), "positive and finite")?;
@@ -154,8 +205,14 @@ fn check_options(options: &HinfOptions) -> Result<(), Error> {
         relaxation_max >= backoff && relaxation_max.is_finite(),
         "at least backoff",
     )?;
-    let limit = max_controller_pole_rad_s.unwrap_or(1.0);
-    range("max_controller_pole_rad_s", limit, limit > 0.0 && limit.is_finite(), "positive and finite")
+    for (key, limit) in [
+        ("max_controller_pole_rad_s", options.max_controller_pole_rad_s),
+        ("max_controller_gain", options.max_controller_gain),
+    ] {
+        let limit = limit.unwrap_or(1.0);
+        range(key, limit, limit > 0.0 && limit.is_finite(), "positive and finite")?;
+    }
+    Ok(())
 }
 
 /// The smallest reachable gamma between two tested values.
@@ -226,6 +283,26 @@ struct Attempt {
 
 impl Attempt {
     fn new(
+        plant: &GeneralizedPlant,
+        normalized: &NormalizedPlant,
+        gamma: f64,
+        options: &HinfOptions,
+    ) -> Result<Self, Error> {
+        let attempt = Self::slow_enough(plant, normalized, gamma, options.max_controller_pole_rad_s)?;
+        if let Some(limit) = options.max_controller_gain {
+            let gain = match peak_gain(&attempt.controller) {
+                // A pole on the axis.
+                Err(Error::System(telepulse_lti::Error::Unstable { .. })) => f64::INFINITY,
+                other => other?,
+            };
+            if gain > limit {
+                return Err(Error::ControllerGainTooHigh { gamma, gain, limit });
+            }
+        }
+        Ok(attempt)
+    }
+
+    fn slow_enough(
         plant: &GeneralizedPlant,
         normalized: &NormalizedPlant,
         gamma: f64,

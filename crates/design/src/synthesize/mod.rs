@@ -5,11 +5,12 @@
 
 mod assumptions;
 mod central_controller;
+mod controller_gain;
 mod controller_speed;
 mod hinfsyn;
 mod mixed_sensitivity;
 mod normalized_plant;
 
 pub use central_controller::Condition;
-pub use hinfsyn::{HinfDesign, HinfOptions, hinfsyn};
+pub use hinfsyn::{HinfDesign, HinfOptions, Regularization, Repaired, SingularProblem, hinfsyn};
 pub use mixed_sensitivity::{MixedSensitivityWeights, mixed_sensitivity};

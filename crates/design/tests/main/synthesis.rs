@@ -146,6 +146,28 @@ fn law_pole_limit_is_kept_and_the_loop_still_verified() {
     assert!(matches!(hinfsyn(&plant, &hopeless), Err(Error::ControllerTooFast { .. })));
 }
 
+#[test]
+fn law_gain_limit_is_kept_or_refused() {
+    let plant = printed::generalized_plant();
+    let free = hinfsyn(&plant, &HinfOptions::default()).expect("feasible");
+    let gain = hinf_norm(&free.controller).expect("stable controller").value;
+    let options = HinfOptions {
+        max_controller_gain: Some(0.8 * gain),
+        relaxation_max: 100.0,
+        ..HinfOptions::default()
+    };
+    let tame = hinfsyn(&plant, &options).expect("some gain can be traded");
+    // Judged on a grid rather than by the norm that the search used.
+    for k in 0..600 {
+        let omega = 1e-4 * 10.0_f64.powf(9.0 * k as f64 / 599.0);
+        let found = tame.controller.at(omega).expect("no pole there").norm();
+        assert!(found <= 0.8 * gain * (1.0 + 1e-9), "{omega}: {found} {gain}");
+    }
+    assert!(tame.gamma_design > free.gamma_design);
+    let hopeless = HinfOptions { max_controller_gain: Some(1e-9), relaxation_max: 2.0, ..options };
+    assert!(matches!(hinfsyn(&plant, &hopeless), Err(Error::ControllerGainTooHigh { .. })));
+}
+
 fn random_plant(rng: &mut rand_pcg::Pcg64, n: usize) -> GeneralizedPlant {
     use rand::RngExt;
     let mut m = |rows, cols| DMatrix::from_fn(rows, cols, |_, _| rng.random_range(-1.0..1.0));
