@@ -159,6 +159,82 @@ pub enum Error {
         /// The value below which the loop counts as singular.
         threshold: f64,
     },
+    // ---- connect ----
+    /// A name of a signal, or of a part of one, cannot be read.
+    #[error("signal name must be like `y`, `y[1]` or `y[0..2]`, found `{name}`")]
+    SignalName {
+        /// The text found.
+        name: String,
+    },
+    /// A sum cannot be read.
+    #[error("sum must be like `e = r - 0.5*y[1]` with {reason}, found `{expression}`")]
+    SumExpression {
+        /// The text found.
+        expression: String,
+        /// What is missing.
+        reason: &'static str,
+    },
+    /// A name that nothing makes.
+    #[error(
+        "signal `{signal}`, read by {place}, is not the output of any block or sum, nor an external input"
+    )]
+    UnknownSignal {
+        /// The name.
+        signal: String,
+        /// What reads it.
+        place: String,
+    },
+    /// A name that is made twice.
+    #[error("signal `{signal}` must be made once, found a second block, sum or external input of this name")]
+    DuplicateSignal {
+        /// The name.
+        signal: String,
+    },
+    /// A signal that nothing reads.
+    #[error("signal `{signal}` is read by nothing: connect it or leave it open explicitly")]
+    UnconnectedSignal {
+        /// The name.
+        signal: String,
+    },
+    /// A signal has another number of channels than its place.
+    #[error("{place} must be {expected} channels wide, found {found} in `{signal}`")]
+    SignalWidth {
+        /// The name or names.
+        signal: String,
+        /// Where it is made or read.
+        place: String,
+        /// Channels asked for.
+        expected: usize,
+        /// Channels found.
+        found: usize,
+    },
+    /// A channel beyond the last one.
+    #[error("channel of signal `{signal}` must be below {width}, found {index}")]
+    SignalIndex {
+        /// The name.
+        signal: String,
+        /// Number of channels.
+        width: usize,
+        /// The channel asked for, from zero.
+        index: usize,
+    },
+    /// A loop of direct terms leaves these signals undefined.
+    #[error(
+        "algebraic loop through {}: smallest singular value {smallest_singular_value:e} against {threshold:e}",
+        signals.join(", ")
+    )]
+    SignalLoop {
+        /// The signals in the loop.
+        signals: Vec<String>,
+        /// Smallest singular value of `I - D L`, with `L` the gain that closes the loop.
+        smallest_singular_value: f64,
+        /// The value below which the loop counts as singular.
+        threshold: f64,
+    },
+    /// A diagram without blocks has no time domain.
+    #[error("a diagram needs at least one block, found none")]
+    NoBlocks,
+    // ---- response ----
     /// A response was asked for at a pole.
     #[error("the response has a pole at the frequency {omega_rad_s} rad/s")]
     PoleAtFrequency {

@@ -1,9 +1,9 @@
 //! The generalized plant of robust control.
 
-use crate::{Continuous, Error, StateSpace};
+use crate::{Continuous, Error, StateSpace, TimeDomain};
 use nalgebra::{DMatrix, DMatrixView};
 
-/// A continuous system with its inputs and outputs in two groups, as H-infinity synthesis sees it.
+/// A system with its inputs and outputs in two groups, as robust synthesis sees it; continuous unless said otherwise.
 ///
 /// ```text
 ///                 +-------------------+
@@ -37,27 +37,21 @@ use nalgebra::{DMatrix, DMatrixView};
 /// # Ok::<(), telepulse_lti::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct GeneralizedPlant {
-    sys: StateSpace<Continuous>,
+pub struct GeneralizedPlant<D: TimeDomain = Continuous> {
+    sys: StateSpace<D>,
     n_w: usize,
     n_u: usize,
     n_z: usize,
     n_y: usize,
 }
 
-impl GeneralizedPlant {
+impl<D: TimeDomain> GeneralizedPlant<D> {
     /// A generalized plant from a system whose inputs are `(w, u)` and whose outputs are `(z, y)`.
     ///
     /// # Errors
     /// [`Error::PortCount`] unless every group has at least one signal and the groups add up to the ports of the
     /// system.
-    pub fn new(
-        sys: StateSpace<Continuous>,
-        n_w: usize,
-        n_u: usize,
-        n_z: usize,
-        n_y: usize,
-    ) -> Result<Self, Error> {
+    pub fn new(sys: StateSpace<D>, n_w: usize, n_u: usize, n_z: usize, n_y: usize) -> Result<Self, Error> {
         let operation = "a generalized plant";
         for (port, found) in
             [("signals in w", n_w), ("signals in u", n_u), ("signals in z", n_z), ("signals in y", n_y)]
@@ -78,7 +72,7 @@ impl GeneralizedPlant {
 
     /// The system with inputs `(w, u)` and outputs `(z, y)`.
     #[must_use]
-    pub fn sys(&self) -> &StateSpace<Continuous> {
+    pub fn sys(&self) -> &StateSpace<D> {
         &self.sys
     }
 
@@ -175,7 +169,7 @@ impl GeneralizedPlant {
     /// # Errors
     /// [`Error::PortCount`] unless the controller takes `y` and gives `u`, [`Error::AlgebraicLoop`] where
     /// `I - D22 D_K` is singular.
-    pub fn lower_lft(&self, controller: &StateSpace<Continuous>) -> Result<StateSpace<Continuous>, Error> {
+    pub fn lower_lft(&self, controller: &StateSpace<D>) -> Result<StateSpace<D>, Error> {
         let operation = "closing a generalized plant";
         let counts = [
             ("inputs of the controller", self.n_y, controller.n_inputs()),

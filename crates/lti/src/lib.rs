@@ -8,6 +8,7 @@
 
 pub mod balance;
 mod compensated;
+pub mod connect;
 pub mod discretize;
 pub mod domain;
 pub mod eigenvalues;
@@ -27,6 +28,7 @@ pub mod state_space;
 pub mod transfer_function;
 pub mod zeros;
 
+pub use connect::{Diagram, NamedSystem};
 pub use domain::{Continuous, Discrete, SampleTime, TimeDomain};
 pub use error::Error;
 pub use generalized_plant::GeneralizedPlant;
