@@ -414,6 +414,16 @@ pub enum Error {
         /// The pole in rad/s.
         pole: Complex64,
     },
+    /// A loop that is to be broken channel by channel must have as many inputs as outputs.
+    #[error("loop must have {expected}, found {n_inputs} inputs and {n_outputs} outputs")]
+    NotSquareLoop {
+        /// Inputs found.
+        n_inputs: usize,
+        /// Outputs found.
+        n_outputs: usize,
+        /// What is expected, in words.
+        expected: &'static str,
+    },
 }
 
 fn list(poles: &[Complex64]) -> String {
