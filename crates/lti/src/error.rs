@@ -322,6 +322,53 @@ pub enum Error {
         /// The value below which the equation counts as singular.
         threshold: f64,
     },
+    // ---- reduce ----
+    /// A setting of a reduction lies outside of what is allowed.
+    #[error("{setting} must be {allowed}, found {found}")]
+    ReductionSetting {
+        /// Name of the setting.
+        setting: &'static str,
+        /// What was found.
+        found: f64,
+        /// What is allowed, in words.
+        allowed: &'static str,
+    },
+    /// A reduced order that cannot be had.
+    #[error("reduced order must be from {min} (modes that have to be kept) to {max}, found {found}")]
+    ReductionOrder {
+        /// Order asked for.
+        found: usize,
+        /// Number of modes that are kept in any case.
+        min: usize,
+        /// Order of the system.
+        max: usize,
+    },
+    /// An order that would cut between equal Hankel singular values, where no optimal approximation is defined.
+    #[error("order {order} cuts between the equal hankel singular values {kept:e} and {dropped:e}")]
+    HankelGap {
+        /// Order asked for.
+        order: usize,
+        /// Smallest value on the kept side.
+        kept: f64,
+        /// Largest value on the other side.
+        dropped: f64,
+    },
+    /// Two parts of a system share a pole to working precision, so they cannot be separated.
+    #[error("the two parts share a pole to working precision: pivot {pivot:e} against {threshold:e}")]
+    SpectraOverlap {
+        /// Smallest pivot met.
+        pivot: f64,
+        /// The value below which the poles count as equal.
+        threshold: f64,
+    },
+    /// A reduction whose method does not promise stability lost it.
+    #[error("the system of order {order} that the reduction left is unstable, with a pole at {pole}")]
+    ReducedUnstable {
+        /// Order of the reduced system.
+        order: usize,
+        /// The pole at fault.
+        pole: Complex64,
+    },
     /// The question makes sense for stable systems only.
     #[error("expected a stable system, found a pole at {pole}")]
     Unstable {

@@ -20,6 +20,7 @@ pub mod lyapunov;
 pub mod margins;
 pub mod polynomial;
 pub mod realization;
+pub mod reduce;
 pub mod response;
 pub mod riccati;
 pub mod schur;
