@@ -7,6 +7,7 @@ mod receive;
 mod replay;
 mod report;
 mod send;
+mod solve;
 mod study;
 mod track;
 mod verify;
@@ -45,6 +46,8 @@ enum Stage {
     Verify(verify::VerifyArguments),
     /// Run a controller on the virtual rig against a reference from a file.
     Track(track::TrackArguments),
+    /// Solve a problem of robust control given as a file: synthesis, norms, matrix equations.
+    Solve(solve::SolveArguments),
     /// Look at a pulse recording.
     Pulse(pulse::PulseArguments),
     /// Patient's side: send a recording.
@@ -85,6 +88,7 @@ pub fn run(arguments: Arguments) -> Result<Verdict> {
         Stage::Design(typed) => design::run(&typed, json),
         Stage::Verify(typed) => verify::run(&typed, json),
         Stage::Track(typed) => track::run(&typed, json),
+        Stage::Solve(typed) => solve::run(&typed, json),
         Stage::Pulse(typed) => pulse::run(&typed, json),
         Stage::Send(typed) => send::run(&typed, json),
         Stage::Receive(typed) => receive::run(&typed, json),

@@ -1,0 +1,200 @@
+//! `telepulse solve hinfsyn`: output feedback for a generalized plant.
+
+use anyhow::Result;
+use nalgebra::DMatrix;
+use serde::Serialize;
+use telepulse_design::synthesize::{Condition, HinfDesign, HinfOptions, hinfsyn};
+use telepulse_lti::{Continuous, GeneralizedPlant, StateSpace};
+
+use super::Answer;
+use super::answer::{Status, SystemAnswer, Watch, design_status, pairs};
+use super::input::{ProblemFile, Size};
+
+#[derive(Serialize)]
+pub(super) struct HinfAnswer {
+    status: Status,
+    /// No controller reaches this norm.
+    gamma_lower: Option<f64>,
+    /// Some controller reaches this norm.
+    gamma_upper: Option<f64>,
+    /// What the controller was designed for.
+    gamma_design: Option<f64>,
+    /// Closed-loop norm on the plant as given, recomputed from the closed loop.
+    achieved_norm: Option<f64>,
+    stable: bool,
+    /// Pairs of real and imaginary part, rad/s.
+    closed_loop_poles: Vec<[f64; 2]>,
+    controller: Option<SystemAnswer>,
+    binding_condition: Option<Condition>,
+    message: String,
+    seconds: f64,
+}
+
+const OPTIONS: [&str; 5] =
+    ["backoff", "gamma_tolerance", "gamma_max", "max_controller_pole_rad_s", "relaxation_max"];
+
+pub(super) fn solve(file: &ProblemFile) -> Result<HinfAnswer> {
+    let plant = plant(file)?;
+    let options = options(file)?;
+    let watch = Watch::start();
+    let outcome = hinfsyn(&plant, &options);
+    let seconds = watch.seconds();
+    match outcome {
+        Ok(design) => Ok(HinfAnswer::solved(&design, seconds)),
+        Err(error) => match design_status(&error) {
+            Some(status) => Ok(HinfAnswer::unsolved(status, error.to_string(), seconds)),
+            None => Err(error.into()),
+        },
+    }
+}
+
+impl HinfAnswer {
+    fn solved(design: &HinfDesign, seconds: f64) -> Self {
+        Self {
+            status: Status::Ok,
+            gamma_lower: Some(design.gamma_lower),
+            gamma_upper: Some(design.gamma_upper),
+            gamma_design: Some(design.gamma_design),
+            achieved_norm: Some(design.achieved.value),
+            stable: true,
+            closed_loop_poles: pairs(&design.closed_loop_poles),
+            controller: Some((&design.controller).into()),
+            binding_condition: design.binding_condition,
+            message: String::new(),
+            seconds,
+        }
+    }
+
+    fn unsolved(status: Status, message: String, seconds: f64) -> Self {
+        Self {
+            status,
+            gamma_lower: None,
+            gamma_upper: None,
+            gamma_design: None,
+            achieved_norm: None,
+            stable: false,
+            closed_loop_poles: Vec::new(),
+            controller: None,
+            binding_condition: None,
+            message,
+            seconds,
+        }
+    }
+}
+
+/// The plant's nine matrices; sizes from `n`, `nw`, `nu`, `nz`, `ny` where they are given, else from the matrices.
+fn plant(file: &ProblemFile) -> Result<GeneralizedPlant> {
+    let sizes = Sizes::read(file)?;
+    let Sizes { n, nw, nu, nz, ny } = sizes;
+    let (a, b1, b2) = (file.matrix("A", n, n)?, file.matrix("B1", n, nw)?, file.matrix("B2", n, nu)?);
+    let (c1, c2) = (file.matrix("C1", nz, n)?, file.matrix("C2", ny, n)?);
+    let d11 = file.matrix_or_zeros("D11", nz, nw)?;
+    let d12 = file.matrix_or_zeros("D12", nz, nu)?;
+    let d21 = file.matrix_or_zeros("D21", ny, nw)?;
+    let d22 = file.matrix_or_zeros("D22", ny, nu)?;
+    for size in [nw, nu, nz, ny] {
+        if size.value == Some(0) {
+            return Err(
+                file.complaint(size.name, "expected at least 1: a plant without such signals has no problem")
+            );
+        }
+    }
+    let b = beside(&b1, &b2);
+    let c = stack(&c1, &c2);
+    let d = stack(&beside(&d11, &d12), &beside(&d21, &d22));
+    let sys = StateSpace::<Continuous>::new(a, b, c, d)?;
+    Ok(GeneralizedPlant::new(sys, b1.ncols(), b2.ncols(), c1.nrows(), c2.nrows())?)
+}
+
+/// The sizes of a generalized plant, all known.
+#[derive(Clone, Copy)]
+struct Sizes {
+    n: Size,
+    nw: Size,
+    nu: Size,
+    nz: Size,
+    ny: Size,
+}
+
+impl Sizes {
+    fn read(file: &ProblemFile) -> Result<Self> {
+        let unknown = |name| Size { name, value: None };
+        let rows = |size: Size, keys: [&str; 3]| -> Result<Size> {
+            let mut size = size;
+            for key in keys {
+                if size.value.is_none()
+                    && let Some(m) = file.optional_matrix(key, size, unknown("any"))?
+                {
+                    size.value = Some(m.nrows());
+                }
+            }
+            Ok(size)
+        };
+        let n = rows(file.size("n")?, ["A", "B1", "B2"])?;
+        let cols = |size: Size, keys: [&str; 3]| -> Result<Size> {
+            let mut size = size;
+            for key in keys {
+                // A matrix without rows does not tell how many columns it has.
+                if size.value.is_none()
+                    && let Some(m) = file.optional_matrix(key, unknown("any"), size)?
+                    && m.nrows() > 0
+                {
+                    size.value = Some(m.ncols());
+                }
+            }
+            Ok(size)
+        };
+        Ok(Self {
+            n,
+            nw: cols(file.size("nw")?, ["B1", "D11", "D21"])?,
+            nu: cols(file.size("nu")?, ["B2", "D12", "D22"])?,
+            nz: rows(file.size("nz")?, ["C1", "D11", "D12"])?,
+            ny: rows(file.size("ny")?, ["C2", "D21", "D22"])?,
+        })
+    }
+}
+
+fn options(file: &ProblemFile) -> Result<HinfOptions> {
+    let typed = file.options(&OPTIONS)?;
+    let default = HinfOptions::default();
+    let number = |key: &str, default: f64| -> Result<f64> { Ok(typed.number(key)?.unwrap_or(default)) };
+    Ok(HinfOptions {
+        backoff: number("backoff", default.backoff)?,
+        gamma_tolerance: number("gamma_tolerance", default.gamma_tolerance)?,
+        gamma_max: number("gamma_max", default.gamma_max)?,
+        max_controller_pole_rad_s: typed.number("max_controller_pole_rad_s")?,
+        relaxation_max: number("relaxation_max", default.relaxation_max)?,
+    })
+}
+
+fn beside(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut m = DMatrix::zeros(left.nrows(), left.ncols() + right.ncols());
+    m.columns_mut(0, left.ncols()).copy_from(left);
+    m.columns_mut(left.ncols(), right.ncols()).copy_from(right);
+    m
+}
+
+fn stack(upper: &DMatrix<f64>, lower: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut m = DMatrix::zeros(upper.nrows() + lower.nrows(), upper.ncols());
+    m.rows_mut(0, upper.nrows()).copy_from(upper);
+    m.rows_mut(upper.nrows(), lower.nrows()).copy_from(lower);
+    m
+}
+
+impl Answer for HinfAnswer {
+    fn status(&self) -> Status {
+        self.status
+    }
+
+    fn lines(&self) -> Vec<String> {
+        match (self.achieved_norm, self.gamma_lower, self.gamma_upper) {
+            (Some(achieved), Some(lower), Some(upper)) => {
+                let mut lines =
+                    vec![format!("norm {achieved} achieved, the optimum lies within {lower} and {upper}")];
+                lines.extend((!self.message.is_empty()).then(|| self.message.clone()));
+                lines
+            }
+            _ => vec![self.message.clone()],
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! `telepulse solve`: the library's solvers on a problem file, for any tool that can write JSON.
+//!
+//! An answer with another status than `ok` is still an answer: it is printed, and the exit code is 1. A file that
+//! cannot be read is refused with exit code 2 and one message that names file, key and sizes.
+
+mod answer;
+mod hinfnorm;
+mod hinfsyn;
+mod input;
+mod matrix_equations;
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+use self::answer::Status;
+use self::input::ProblemFile;
+use super::Verdict;
+
+#[derive(Debug, Args)]
+pub(super) struct SolveArguments {
+    /// What to solve.
+    problem: Problem,
+    /// Problem as JSON; `-` for standard input. docs/manual/robust.md lists the keys.
+    file: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Problem {
+    /// H-infinity output feedback for the plant A, B1, B2, C1, C2, D11, D12, D21, D22; discrete with dt.
+    Hinfsyn,
+    /// H-infinity norm of A, B, C, D; discrete with dt.
+    Hinfnorm,
+    /// Algebraic Riccati equation A, B, Q, R, S or A, G, Q; discrete with dt.
+    Care,
+    /// Lyapunov equation A, Q, or Sylvester equation A, B, C; discrete with dt.
+    Lyap,
+}
+
+pub(super) fn run(typed: &SolveArguments, json: bool) -> Result<Verdict> {
+    let file = ProblemFile::read(&typed.file)?;
+    match typed.problem {
+        Problem::Hinfsyn => finish(json, &file, hinfsyn::solve(&file)?),
+        Problem::Hinfnorm => finish(json, &file, hinfnorm::solve(&file)?),
+        Problem::Care => finish(json, &file, matrix_equations::riccati(&file)?),
+        Problem::Lyap => finish(json, &file, matrix_equations::lyapunov(&file)?),
+    }
+}
+
+/// An answer that can be printed either way.
+trait Answer: Serialize {
+    fn status(&self) -> Status;
+    /// The same facts for a person.
+    fn lines(&self) -> Vec<String>;
+}
+
+fn finish<A: Answer>(json: bool, file: &ProblemFile, answer: A) -> Result<Verdict> {
+    let unread: Vec<String> =
+        file.unread().into_iter().filter(|key| !DESCRIPTIVE.contains(&key.as_str())).collect();
+    if !unread.is_empty() {
+        super::notify(&format!("telepulse: keys without a meaning here: {}", unread.join(", ")));
+    }
+    super::answer(json, &answer, || answer.lines())?;
+    Ok(if answer.status() == Status::Ok { Verdict::Done } else { Verdict::CheckFailed })
+}
+
+/// Keys that collections of problems carry to tell them apart.
+const DESCRIPTIVE: [&str; 6] = ["id", "name", "category", "source", "note", "comment"];
