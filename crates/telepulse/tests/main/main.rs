@@ -2,4 +2,5 @@
 
 mod command_line;
 mod dependencies;
+mod solve;
 mod study;

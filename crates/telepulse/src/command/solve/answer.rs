@@ -53,7 +53,9 @@ pub(super) fn design_status(error: &DesignError) -> Option<Status> {
         }
         DesignError::NotStabilizable { .. } => Status::NotStabilizable,
         DesignError::NotDetectable { .. } => Status::NotDetectable,
-        DesignError::Infeasible { .. } | DesignError::ControllerTooFast { .. } => Status::Infeasible,
+        DesignError::Infeasible { .. }
+        | DesignError::ControllerTooFast { .. }
+        | DesignError::ControllerGainTooHigh { .. } => Status::Infeasible,
         DesignError::NotConverged { .. } => Status::NotConverged,
         DesignError::IllConditioned { .. } => Status::IllConditioned,
         DesignError::UnstableLoop { .. } | DesignError::UnstableElement { .. } => Status::Unstable,

@@ -3,7 +3,9 @@
 use anyhow::Result;
 use nalgebra::DMatrix;
 use serde::Serialize;
-use telepulse_design::synthesize::{Condition, HinfDesign, HinfOptions, hinfsyn};
+use telepulse_design::synthesize::{
+    Condition, HinfDesign, HinfOptions, Regularization, Repaired, SingularProblem, hinfsyn,
+};
 use telepulse_lti::{Continuous, GeneralizedPlant, StateSpace};
 
 use super::Answer;
@@ -26,12 +28,33 @@ pub(super) struct HinfAnswer {
     closed_loop_poles: Vec<[f64; 2]>,
     controller: Option<SystemAnswer>,
     binding_condition: Option<Condition>,
+    /// What was added to a singular plant to make it solvable; null for a regular one.
+    regularization: Option<RegularizationAnswer>,
     message: String,
     seconds: f64,
 }
 
-const OPTIONS: [&str; 5] =
-    ["backoff", "gamma_tolerance", "gamma_max", "max_controller_pole_rad_s", "relaxation_max"];
+#[derive(Serialize)]
+struct RegularizationAnswer {
+    /// Size of what was added relative to the plant's own direct terms.
+    epsilon: f64,
+    /// `d12`, `d21`, `axis_zeros`: what needed it.
+    repaired: Vec<&'static str>,
+    /// Smallest norm of the enlarged plant that some controller is known to reach.
+    gamma_enlarged: f64,
+    /// The norm on the plant as given; the same as `achieved_norm`.
+    norm_on_original_plant: f64,
+}
+
+const OPTIONS: [&str; 7] = [
+    "backoff",
+    "gamma_tolerance",
+    "gamma_max",
+    "max_controller_pole_rad_s",
+    "max_controller_gain",
+    "relaxation_max",
+    "singular",
+];
 
 pub(super) fn solve(file: &ProblemFile) -> Result<HinfAnswer> {
     let plant = plant(file)?;
@@ -60,7 +83,8 @@ impl HinfAnswer {
             closed_loop_poles: pairs(&design.closed_loop_poles),
             controller: Some((&design.controller).into()),
             binding_condition: design.binding_condition,
-            message: String::new(),
+            message: message(design),
+            regularization: design.regularization.as_ref().map(|r| RegularizationAnswer::new(r, design)),
             seconds,
         }
     }
@@ -76,10 +100,45 @@ impl HinfAnswer {
             closed_loop_poles: Vec::new(),
             controller: None,
             binding_condition: None,
+            regularization: None,
             message,
             seconds,
         }
     }
+}
+
+impl RegularizationAnswer {
+    fn new(r: &Regularization, design: &HinfDesign) -> Self {
+        let parts = [("d12", r.d12), ("d21", r.d21), ("axis_zeros", r.axis_zeros)];
+        let repaired =
+            parts.into_iter().filter(|(_, part)| *part == Repaired::Yes).map(|(name, _)| name).collect();
+        Self {
+            epsilon: r.epsilon,
+            repaired,
+            gamma_enlarged: r.gamma_enlarged,
+            norm_on_original_plant: design.achieved.value,
+        }
+    }
+}
+
+/// What a reader of the numbers should know besides.
+fn message(design: &HinfDesign) -> String {
+    let mut parts = Vec::new();
+    match (&design.regularization, design.binding_condition) {
+        (Some(r), _) => parts.push(format!(
+            "the problem is singular and was regularised with epsilon {:e}; the norm is that of the plant as given",
+            r.epsilon
+        )),
+        (None, Some(condition)) => parts.push(format!("the optimum is set by {condition:?}")),
+        (None, None) => parts.push("the norm can be made as small as one likes".to_owned()),
+    }
+    if design.n_residualized > 0 {
+        parts.push(format!(
+            "{} fast controller modes were replaced by their static gain",
+            design.n_residualized
+        ));
+    }
+    parts.join("; ")
 }
 
 /// The plant's nine matrices; sizes from `n`, `nw`, `nu`, `nz`, `ny` where they are given, else from the matrices.
@@ -163,7 +222,13 @@ fn options(file: &ProblemFile) -> Result<HinfOptions> {
         gamma_tolerance: number("gamma_tolerance", default.gamma_tolerance)?,
         gamma_max: number("gamma_max", default.gamma_max)?,
         max_controller_pole_rad_s: typed.number("max_controller_pole_rad_s")?,
+        max_controller_gain: typed.number("max_controller_gain")?,
         relaxation_max: number("relaxation_max", default.relaxation_max)?,
+        singular: match typed.word("singular")? {
+            None | Some("regularize") => SingularProblem::Regularize,
+            Some("refuse") => SingularProblem::Refuse,
+            Some(_) => return Err(typed.complaint("singular", "expected `regularize` or `refuse`")),
+        },
     })
 }
 

@@ -49,15 +49,12 @@ impl ProblemFile {
     /// # Errors
     /// Names the file, and the key before the place where it stops being JSON.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let text = if name == "-" {
+        if path.as_os_str() == "-" {
             let mut text = String::new();
             std::io::stdin().read_to_string(&mut text).context("cannot read standard input")?;
-            text
-        } else {
-            artefact::read_text(path)?
-        };
-        Self::parse(&text, name)
+            return Self::parse(&text, "standard input".to_owned());
+        }
+        Self::parse(&artefact::read_text(path)?, path.display().to_string())
     }
 
     fn parse(text: &str, name: String) -> Result<Self> {
@@ -203,9 +200,12 @@ impl ProblemFile {
     pub(super) fn optional_matrix(&self, key: &str, rows: Size, cols: Size) -> Result<Option<DMatrix<f64>>> {
         let Some(value) = self.field(key) else { return Ok(None) };
         let matrix = self.parse_matrix(key, value, rows, cols)?;
-        if !rows.matches(matrix.nrows()) || !cols.matches(matrix.ncols()) {
-            let found = format!("{} x {}", matrix.nrows(), matrix.ncols());
-            return Err(self.complaint(key, &format!("expected {}, found {found}", expected(rows, cols))));
+        let (n_rows, n_cols) = matrix.shape();
+        // A matrix that is to be square without saying how large.
+        let square = rows.name != cols.name || n_rows == n_cols;
+        if !rows.matches(n_rows) || !cols.matches(n_cols) || !square {
+            let what = format!("expected {}, found {n_rows} x {n_cols}", expected(rows, cols));
+            return Err(self.complaint(key, &what));
         }
         Ok(Some(matrix))
     }

@@ -1,0 +1,195 @@
+//! `telepulse solve`: problem files in, answers out, judged by arithmetic of their own.
+
+use std::io::Write;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::{Value, json};
+
+/// Runs `telepulse solve PROBLEM - --json` on a problem given through standard input.
+fn run(problem: &str, file: &str) -> Output {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_telepulse"))
+        .args(["solve", problem, "-", "--json"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    child.stdin.take().expect("piped").write_all(file.as_bytes()).expect("written");
+    child.wait_with_output().expect("the program ends")
+}
+
+fn solved(problem: &str, file: &Value) -> Value {
+    let output = run(problem, &file.to_string());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said} {}", String::from_utf8_lossy(&output.stdout));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+/// Exit code 2, nothing on standard output, one line that names all of `named`.
+fn refused(problem: &str, file: &str, named: &[&str]) {
+    let output = run(problem, file);
+    let said = String::from_utf8(output.stderr).expect("UTF-8");
+    assert_eq!(output.status.code(), Some(2), "{file}: {said}");
+    assert!(output.stdout.is_empty(), "{file}: answered all the same");
+    assert_eq!(said.lines().count(), 1, "{file}: {said}");
+    for part in named {
+        assert!(said.contains(part), "{file}: `{part}` is not in: {said}");
+    }
+}
+
+/// `z = [x + w1; u]`, `y = x + w2` for the unstable plant `x' = x + w1 + u`.
+fn unstable_plant() -> Value {
+    json!({
+        "A": [[1]], "B1": [[1, 0]], "B2": [[1]], "C1": [[1], [0]], "C2": [[1]],
+        "D11": [[0, 0], [0, 0]], "D12": [[0], [1]], "D21": [[0, 1]], "D22": [[0]],
+        "n": 1, "nw": 2, "nu": 1, "nz": 2, "ny": 1, "id": "unstable"
+    })
+}
+
+#[test]
+fn law_a_synthesized_controller_stabilizes_by_the_plainest_arithmetic() {
+    let answer = solved("hinfsyn", &unstable_plant());
+    assert_eq!(answer["status"], "ok");
+    // X and Y of this plant solve 2x - x² (1 - 1/g²) + 1 = 0 alike; with x = y, x² < g² binds: x = g gives
+    // 2g - g² + 2 = 0, so the optimum is 1 + sqrt(3).
+    let optimum = 1.0 + 3.0_f64.sqrt();
+    let number = |key: &str| answer[key].as_f64().expect("a number");
+    assert!(number("gamma_lower") <= optimum && optimum <= number("gamma_upper"), "{answer}");
+    assert!(number("gamma_upper") / number("gamma_lower") < 1.0 + 1e-3);
+    assert!(number("achieved_norm") <= 1.01 * optimum && number("achieved_norm") >= optimum * (1.0 - 1e-9));
+    // The closed loop x' = x + u, u = c xk + d y, xk' = a xk + b y has the characteristic polynomial
+    // s² - (1 + d + a) s + a (1 + d) - b c.
+    let k = |part: &str| answer["controller"][part][0][0].as_f64().expect("one state");
+    let (a, b, c, d) = (k("A"), k("B"), k("C"), k("D"));
+    assert!(1.0 + d + a < 0.0 && a * (1.0 + d) - b * c > 0.0, "{answer}");
+    assert!(answer["regularization"].is_null() && answer["binding_condition"].is_string());
+    assert_eq!(answer["stable"], true);
+    assert_eq!(answer["closed_loop_poles"].as_array().map(Vec::len), Some(2));
+}
+
+#[test]
+fn law_sizes_are_learned_from_the_matrices() {
+    let mut plant = unstable_plant();
+    let fields = plant.as_object_mut().expect("an object");
+    for key in ["n", "nw", "nu", "nz", "ny", "D11", "D22"] {
+        fields.remove(key);
+    }
+    let full = solved("hinfsyn", &unstable_plant());
+    assert_eq!(solved("hinfsyn", &plant)["achieved_norm"], full["achieved_norm"]);
+}
+
+#[test]
+fn edge_an_answer_that_is_no_controller_has_a_status_and_exit_code_1() {
+    let mut hidden = unstable_plant();
+    hidden["B2"] = json!([[0]]);
+    let mut blind = unstable_plant();
+    blind["C2"] = json!([[0]]);
+    let mut tight = unstable_plant();
+    tight["options"] = json!({"gamma_max": 2.0});
+    let mut singular = unstable_plant();
+    singular["D12"] = json!([[0], [0]]);
+    singular["options"] = json!({"singular": "refuse"});
+    for (plant, status) in [
+        (hidden, "not_stabilizable"),
+        (blind, "not_detectable"),
+        (tight, "infeasible"),
+        (singular, "singular"),
+    ] {
+        let output = run("hinfsyn", &plant.to_string());
+        assert_eq!(output.status.code(), Some(1), "{status}");
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(answer["status"], status, "{answer}");
+        assert!(answer["controller"].is_null() && answer["achieved_norm"].is_null());
+        assert!(!answer["message"].as_str().expect("text").is_empty());
+    }
+}
+
+#[test]
+fn law_norms_of_systems_that_can_be_solved_by_hand() {
+    // 1 / (s² + 2 zeta s + 1) peaks at 1 / (2 zeta sqrt(1 - zeta²)), at sqrt(1 - 2 zeta²).
+    let zeta = 0.05_f64;
+    let lag = json!({"A": [[0, 1], [-1, -2.0 * zeta]], "B": [[0], [1]], "C": [[1, 0]], "D": [[0]]});
+    let answer = solved("hinfnorm", &lag);
+    let exact = 1.0 / (2.0 * zeta * (1.0 - zeta * zeta).sqrt());
+    let number = |answer: &Value, key: &str| answer[key].as_f64().expect("a number");
+    assert!((number(&answer, "value") / exact - 1.0).abs() < 1e-9, "{answer}");
+    assert!(
+        number(&answer, "lower") <= exact * (1.0 + 1e-12)
+            && exact <= number(&answer, "upper") * (1.0 + 1e-12)
+    );
+    assert!((number(&answer, "omega_rad_s") - (1.0 - 2.0 * zeta * zeta).sqrt()).abs() < 1e-4);
+    // z / (z - 0.5) at z = 1 is 2; the same matrices in continuous time are unstable.
+    let sampled = json!({"A": [[0.5]], "B": [[1]], "C": [[0.5]], "D": [[1]], "dt": 0.1});
+    assert!((number(&solved("hinfnorm", &sampled), "value") - 2.0).abs() < 1e-9);
+    let mut unstable = sampled;
+    unstable["dt"] = json!(0);
+    let output = run("hinfnorm", &unstable.to_string());
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(serde_json::from_slice::<Value>(&output.stdout).expect("JSON")["status"], "unstable");
+    // No states.
+    let gain = json!({"A": [], "B": [], "C": [[], []], "D": [[3, 0], [0, 4]], "n": 0, "m": 2, "p": 2});
+    assert!((number(&solved("hinfnorm", &gain), "value") - 4.0).abs() < 1e-14);
+}
+
+#[test]
+fn law_matrix_equations_of_one_unknown() {
+    let x = |answer: &Value| answer["X"][0][0].as_f64().expect("one unknown");
+    // -2x - (x + 1)² + 2 = 0.
+    let care = json!({"A": [[-1]], "B": [[1]], "Q": [[2]], "R": [[1]], "S": [[1]]});
+    assert!((x(&solved("care", &care)) - (5.0_f64.sqrt() - 2.0)).abs() < 1e-14);
+    let lyap = json!({"A": [[-2]], "Q": [[1]]});
+    assert!((x(&solved("lyap", &lyap)) - 0.25).abs() < 1e-15);
+    let stein = json!({"A": [[0.5]], "Q": [[3]], "dt": 1});
+    assert!((x(&solved("lyap", &stein)) - 4.0).abs() < 1e-14);
+}
+
+#[test]
+fn edge_what_cannot_be_read_is_refused_with_key_and_sizes() {
+    let plant = |key: &str, value: Value| {
+        let mut plant = unstable_plant();
+        plant[key] = value;
+        plant.to_string()
+    };
+    refused("hinfsyn", &plant("B2", json!([[1], [2]])), &["`B2`", "expected 1 (n) x 1 (nu), found 2 x 1"]);
+    refused("hinfsyn", &plant("D21", json!([[0, 1, 2]])), &["`D21`", "1 (ny) x 2 (nw), found 1 x 3"]);
+    refused(
+        "hinfsyn",
+        &plant("C1", json!([[1], [0, 1]])),
+        &["`C1`", "row 1 has 2 entries where row 0 has 1"],
+    );
+    refused("hinfsyn", &plant("A", json!([["x"]])), &["`A`", "row 0, column 0", "\"x\""]);
+    refused("hinfsyn", &plant("A", json!(null)), &["`A`", "missing"]);
+    refused("hinfsyn", &plant("nw", json!(-2)), &["`nw`", "whole number", "-2"]);
+    refused("hinfsyn", &plant("options", json!({"backof": 2})), &["`backof`", "backoff"]);
+    refused("hinfsyn", &plant("options", json!({"backoff": 0.5})), &["backoff", "0.5"]);
+    refused("hinfsyn", "{\"A\": [[NaN]]}", &["`A`", "NaN"]);
+    refused("hinfsyn", "[]", &["object"]);
+    refused("hinfnorm", "{\"A\": [[1, 2]]}", &["`A`", "1 x 2"]);
+    let mismatch = json!({"A": [[-1]], "B": [[1, 2]], "C": [[1]], "D": [[0]]}).to_string();
+    refused("hinfnorm", &mismatch, &["`D`", "1 (p) x 2 (m), found 1 x 1"]);
+    refused("hinfnorm", "{\"A\": [[-1]], \"B\": [[1]], \"C\": [[1]], \"dt\": -1}", &["`dt`", "-1"]);
+    refused("care", "{\"A\": [[1]], \"Q\": [[1]]}", &["`B`", "missing"]);
+    refused("lyap", "{\"A\": [[-1]], \"Q\": [[1, 2]]}", &["`Q`", "1 (n) x 1 (n), found 1 x 2"]);
+}
+
+/// The gold cases, where they lie beside the project.
+#[test]
+fn oracle_reference_problems_are_solved_within_one_per_cent() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/reference/hinfsyn_examples.json");
+    let Ok(text) = std::fs::read_to_string(path) else {
+        eprintln!("skipped: no reference problems beside the project");
+        return;
+    };
+    let collection: Value = serde_json::from_str(&text).expect("JSON");
+    for problem in collection["problems"].as_array().expect("a list") {
+        let output = run("hinfsyn", &problem.to_string());
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert!(answer["seconds"].as_f64().expect("seconds") < 1.0, "{}", problem["id"]);
+        if let Some(reference) = problem["gamma_ref"].as_f64() {
+            let achieved = answer["achieved_norm"].as_f64().unwrap_or(f64::INFINITY);
+            assert!(achieved <= 1.01 * reference, "{}: {achieved} against {reference}", problem["id"]);
+        } else {
+            assert!(answer["status"] == "ok" || answer["status"] == "singular", "{}", problem["id"]);
+        }
+    }
+}
