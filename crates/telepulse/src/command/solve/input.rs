@@ -58,10 +58,11 @@ impl ProblemFile {
     }
 
     fn parse(text: &str, name: String) -> Result<Self> {
+        let text = &quote_nonfinite(text);
         let value: Value = serde_json::from_str(text).map_err(|error| {
             let near = last_key_before(text, error.line(), error.column());
             let key = near.map_or_else(String::new, |key| format!(", key `{key}`"));
-            anyhow!("in {name}{key}: {error} (numbers must be finite: JSON has neither NaN nor Infinity)")
+            anyhow!("in {name}{key}: {error}")
         })?;
         let Value::Object(fields) = value else {
             bail!(
@@ -302,6 +303,39 @@ fn kind(value: &Value) -> String {
     }
 }
 
+/// Puts quotes around `NaN`, `Infinity` and `-Infinity`, which JSON does not have but many tools write.
+///
+/// In a key that nobody reads they do no harm; where a number is wanted, the message then says which entry it was.
+fn quote_nonfinite(text: &str) -> String {
+    let mut quoted = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(next) = rest.chars().next() {
+        if next == '"' {
+            // A string, to its closing quote: one that no odd number of backslashes precedes.
+            let mut escaped = false;
+            let end = rest[1..].find(|c| {
+                let closes = c == '"' && !escaped;
+                escaped = c == '\\' && !escaped;
+                closes
+            });
+            let length = end.map_or(rest.len(), |end| end + 2);
+            quoted.push_str(&rest[..length]);
+            rest = &rest[length..];
+        } else if let Some(word) =
+            ["NaN", "Infinity", "-Infinity"].into_iter().find(|word| rest.starts_with(word))
+        {
+            quoted.push('"');
+            quoted.push_str(word);
+            quoted.push('"');
+            rest = &rest[word.len()..];
+        } else {
+            quoted.push(next);
+            rest = &rest[next.len_utf8()..];
+        }
+    }
+    quoted
+}
+
 /// The last `"key":` that starts before a place in the text.
 fn last_key_before(text: &str, line: usize, column: usize) -> Option<&str> {
     let start: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
@@ -371,10 +405,20 @@ mod tests {
 
     #[test]
     fn edge_what_is_no_json_names_the_key_before_it() {
-        for (text, part) in [("{\"A\": [[1.0]],\n \"B2\": [[NaN]]}", "`B2`"), ("{\"C\": [[1e999]]}", "`C`")] {
+        for (text, part) in [("{\"A\": [[1.0]],\n \"B2\": [[x]]}", "`B2`"), ("{\"C\": [[1e999]]}", "`C`")] {
             let message = ProblemFile::parse(text, "f.json".to_owned()).err().expect("refused").to_string();
             assert!(message.contains(part) && message.contains("f.json"), "{message}");
         }
         assert!(ProblemFile::parse("[1]", "f.json".to_owned()).is_err());
+    }
+
+    #[test]
+    fn edge_numbers_that_are_not_finite_matter_only_where_they_are_read() {
+        let f = file(r#"{"note": "NaN \" -Infinity", "peak": -Infinity, "A": [[NaN]], "D": [[1]]}"#);
+        let n = size("n", Some(1));
+        assert_eq!(f.matrix("D", n, n).expect("finite")[(0, 0)], 1.0);
+        let message = f.matrix("A", n, n).expect_err("not finite").to_string();
+        assert!(message.contains("row 0, column 0") && message.contains("NaN"), "{message}");
+        assert_eq!(f.word("note").expect("a word"), Some("NaN \" -Infinity"));
     }
 }
