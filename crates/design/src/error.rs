@@ -4,6 +4,7 @@ use num_complex::Complex64;
 use thiserror::Error;
 
 use crate::synthesize::Condition;
+use crate::synthesize::pid::PidLimit;
 
 /// Why a stage of identification, synthesis, verification or implementation gave no answer.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -397,6 +398,72 @@ pub enum Error {
         gain: f64,
         /// The limit.
         limit: f64,
+    },
+
+    // ---- pid ----
+    /// A plant that does nothing cannot be controlled.
+    #[error("plant must not be zero")]
+    PidPlantZero,
+    /// A zero at the origin blocks integral action.
+    #[error("plant must have no zero at s = 0: integral action cannot reach its output")]
+    PidPlantZeroAtOrigin,
+    /// The closed loop has poles that are not stable.
+    #[error("closed loop must be stable, found {n_unstable} poles that are not")]
+    PidLoopUnstable {
+        /// Poles with real part at least zero.
+        n_unstable: usize,
+    },
+    /// A dead time in a loop whose gain does not fall below one makes infinitely many unstable poles.
+    #[error("loop gain at infinite frequency must be below 1, found {gain}")]
+    PidLoopNeutral {
+        /// Loop gain at infinite frequency.
+        gain: f64,
+    },
+    /// The two counts of unstable poles do not agree, or a pole lies on the axis as far as rounding can tell.
+    #[error(
+        "stability of the loop is not certain: {direct} unstable poles by the direct method, {nyquist:?} by the argument principle"
+    )]
+    PidStabilityUncertain {
+        /// Count by the direct method; negative where it contradicts itself or was not made.
+        direct: i64,
+        /// Count by the argument principle.
+        nyquist: Option<usize>,
+    },
+    /// No gains were found that stabilise the plant.
+    #[error(
+        "no stabilizing PID controller was found for a plant with {n_unstable_plant} poles that are not stable"
+    )]
+    PidNotStabilized {
+        /// Poles of the plant with real part at least zero.
+        n_unstable_plant: usize,
+    },
+    /// Stabilising gains were found, but none that keep the limits.
+    #[error(
+        "no PID controller was found within the limits: least violation is a peak of {violation} times its limit"
+    )]
+    PidLimitsNotMet {
+        /// Largest ratio of a peak to its limit for the best gains that were seen.
+        violation: f64,
+    },
+    /// No controller with integral action can keep this limit.
+    #[error(
+        "limit {limit:?} cannot be met with integral action: at rest the function is {at_rest}, allowed is below {allowed}"
+    )]
+    PidLimitImpossible {
+        /// Which limit.
+        limit: PidLimit,
+        /// Value at frequency zero, the same for all such controllers.
+        at_rest: f64,
+        /// The limit.
+        allowed: f64,
+    },
+    /// The limits leave the integral gain free to grow.
+    #[error(
+        "limits do not bound the integral gain: it was still growing at {i_per_s} per s (limit the noise gain or slow the derivative filter)"
+    )]
+    PidGainUnbounded {
+        /// Integral gain where the search was stopped.
+        i_per_s: f64,
     },
 
     // ---- verify ----

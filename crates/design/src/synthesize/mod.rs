@@ -10,6 +10,7 @@ mod controller_speed;
 mod hinfsyn;
 mod mixed_sensitivity;
 mod normalized_plant;
+pub mod pid;
 
 pub use central_controller::Condition;
 pub use hinfsyn::{HinfDesign, HinfOptions, Regularization, Repaired, SingularProblem, hinfsyn};
