@@ -4,21 +4,21 @@ use nalgebra::DMatrix;
 
 /// An unevaluated sum `high + low` with `low` below the last bit of `high`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Doubled {
-    high: f64,
-    low: f64,
+pub(crate) struct Doubled {
+    pub(crate) high: f64,
+    pub(crate) low: f64,
 }
 
 impl Doubled {
     /// Adds `a * b`. **Source**: Ogita, Rump and Oishi 2005, algorithm `Dot2`.
-    fn add_product(&mut self, a: f64, b: f64) {
+    pub(crate) fn add_product(&mut self, a: f64, b: f64) {
         let (product, product_error) = two_product(a, b);
         let (sum, sum_error) = two_sum(self.high, product);
         self.high = sum;
         self.low += sum_error + product_error;
     }
 
-    fn value(self) -> f64 {
+    pub(crate) fn value(self) -> f64 {
         self.high + self.low
     }
 }
