@@ -180,10 +180,56 @@ pub enum Error {
     #[error("all errors are zero: there is nothing to bound")]
     CoverNoError,
     /// The linear program behind the bound ended without a usable answer.
-    #[error("bound of the errors not found: no second-order weight within a factor {ratio_max} of the data")]
+    #[error("bound of the errors not found: no weight of this order within a factor {ratio_max} of the data")]
     CoverInfeasible {
         /// Largest ratio of bound to error that was tried.
         ratio_max: f64,
+    },
+
+    // ---- families of responses ----
+    /// A member of a family has other ports than the nominal response.
+    #[error("member {member_idx} must be {expected_rows} x {expected_cols}, found {rows} x {cols}")]
+    FamilyShape {
+        /// Which member.
+        member_idx: usize,
+        /// Outputs of the nominal response.
+        expected_rows: usize,
+        /// Inputs of the nominal response.
+        expected_cols: usize,
+        /// Outputs found.
+        rows: usize,
+        /// Inputs found.
+        cols: usize,
+    },
+    /// A member of a family holds a value that is not a number.
+    #[error("member {member_idx} must be finite, found another value at point {point_idx}")]
+    FamilyNotFinite {
+        /// Which member.
+        member_idx: usize,
+        /// Which of its frequencies, from 0.
+        point_idx: usize,
+    },
+    /// The frequencies of a member cannot be used.
+    #[error("member {member_idx} must have {expected}")]
+    FamilyGrid {
+        /// Which member.
+        member_idx: usize,
+        /// What is expected, in words.
+        expected: &'static str,
+    },
+    /// A multiplicative error needs an inverse of the nominal response.
+    #[error(
+        "nominal response must have a {side} inverse, found singular values from {smallest:e} to {largest:e} at {omega_rad_s} rad/s"
+    )]
+    NominalNotInvertible {
+        /// On which side.
+        side: &'static str,
+        /// Where, in rad/s.
+        omega_rad_s: f64,
+        /// Smallest singular value.
+        smallest: f64,
+        /// Largest singular value.
+        largest: f64,
     },
 
     // ---- implement ----

@@ -2,8 +2,10 @@
 
 use telepulse_lti::TransferFunction;
 
+use super::certified_touch::{Segment, largest_excess};
 use super::envelope::{ErrorCurve, envelope};
-use super::magnitude_design::{BoundShape, cover_magnitude};
+use super::magnitude_design::{BoundShape, NEIGHBOURHOOD, cover_magnitude};
+use super::minimum_phase::MinimumPhase;
 use super::record::SweepRecord;
 use crate::{Error, Result};
 
@@ -29,8 +31,7 @@ pub struct CoverOptions {
 }
 
 impl Default for CoverOptions {
-    /// The paper's shape around the complex error. The margin of 0.1 % covers what the grid of the check could miss, see
-    /// [`cap_family_error`].
+    /// The paper's shape around the complex error, 0.1 % above it where it touches.
     fn default() -> Self {
         Self { shape: BoundShape::default(), series: ErrorSeries::default(), margin: 1.001 }
     }
@@ -64,7 +65,7 @@ impl ErrorPoint {
     }
 }
 
-/// A second-order, stable, minimum-phase bound on the additive error, with the evidence for it.
+/// A stable, minimum-phase bound on the additive error, with the evidence for it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UncertaintyBound {
     /// The bound, in mm per unit.
@@ -108,9 +109,10 @@ pub fn cap_additive_error(
 ///
 /// **Source**: the paper, section 3, figure 8 and Eq. (17); Boyd and Vandenberghe 2004, section 6.5, for the design.
 ///
-/// **Accuracy**: the check walks the envelope in steps of 0.5 % in frequency. Between two steps the weight can dip below its
-/// chord by at most `1/(4 DAMPING_MIN^2) 0.005^2/8`, 0.03 %, which the default margin covers. Nothing is known outside of the measured
-/// range: there the bound continues as its shape says.
+/// **Accuracy**: the largest ratio of error to weight is found by branch and bound over the lines between the points, with
+/// a bound on how far the weight can bend: no grid can miss it. That the error is straight between two points is an
+/// assumption about the device, not a fact. Nothing is known outside of the measured range: there the bound continues as its
+/// shape says.
 ///
 /// # Errors
 /// [`Error::EmptyList`] without records, [`Error::OutOfRange`] for a margin below 1, [`Error::CoverNoError`] where model and data
@@ -128,19 +130,19 @@ pub fn cap_family_error(
     }
     let mut points = error_points(records, nominal);
     let curves = error_curves(&points, records.len(), options.series)?;
-    let shape = cover_magnitude(&envelope(&curves, DESIGN_STEP), options.shape)?;
+    options.shape.check()?;
+    let design_step = if options.shape.order() <= 2 { DESIGN_STEP } else { FINE_STEP };
+    let shape = cover_magnitude(&envelope(&curves, design_step), options.shape, NEIGHBOURHOOD)?.weight;
+    let shape = shape.transfer_function()?;
 
-    let fine = envelope(&curves, CHECK_STEP);
-    let touch = fine.iter().map(|p| p.error / shape.at(p.omega).norm()).fold(0.0, f64::max);
+    let segments: Vec<Segment> = curves.iter().flat_map(ErrorCurve::segments).collect();
+    let touch = largest_excess(&segments, &MinimumPhase::of(&shape)?).upper.exp();
     // Rounding in the last place must not turn a touch into a violation.
     let weight = shape.scale(touch * options.margin * (1.0 + 1e-12))?;
 
+    let worst = largest_excess(&segments, &MinimumPhase::of(&weight)?);
     let ratio = |p: &super::envelope::EnvelopePoint| p.error / weight.at(p.omega).norm();
-    let (worst_ratio, worst_omega) = fine
-        .iter()
-        .map(|p| (ratio(p), p.omega))
-        .fold((0.0, 0.0), |worst, here| if here.0 > worst.0 { here } else { worst });
-    let tightest = fine.iter().map(ratio).fold(f64::INFINITY, f64::min);
+    let tightest = envelope(&curves, CHECK_STEP).iter().map(ratio).fold(f64::INFINITY, f64::min);
     for point in &mut points {
         point.bound = weight.at(std::f64::consts::TAU * point.frequency_hz).norm();
     }
@@ -148,8 +150,8 @@ pub fn cap_family_error(
     Ok(UncertaintyBound {
         violations: above(options.series),
         complex_violations: above(ErrorSeries::Complex),
-        worst_ratio,
-        worst_frequency_hz: worst_omega / std::f64::consts::TAU,
+        worst_ratio: worst.upper.exp(),
+        worst_frequency_hz: worst.log_omega.exp() / std::f64::consts::TAU,
         loosest_ratio: 1.0 / tightest,
         options: *options,
         weight,
@@ -159,7 +161,9 @@ pub fn cap_family_error(
 
 /// Step of the design grid in ln(omega).
 const DESIGN_STEP: f64 = 0.1;
-/// Step of the check grid in ln(omega).
+/// The same for orders above two, which can bend more often.
+const FINE_STEP: f64 = 0.05;
+/// Step in ln(omega) at which the looseness is looked for.
 const CHECK_STEP: f64 = 0.005;
 /// Errors below this share of the largest are raised to it: 140 dB down there is only rounding.
 const ERROR_FLOOR: f64 = 1e-7;

@@ -1,7 +1,9 @@
 //! The errors of a family of measurements as curves over frequency.
 
+use super::certified_touch::Segment;
+
 /// One error curve: straight lines between measured points in log-log coordinates, as drawn in a Bode plot.
-pub(super) struct ErrorCurve {
+pub(crate) struct ErrorCurve {
     log_omega: Vec<f64>,
     log_error: Vec<f64>,
 }
@@ -13,6 +15,20 @@ impl ErrorCurve {
         Self {
             log_omega: points.iter().map(|p| p.0.ln()).collect(),
             log_error: points.iter().map(|p| p.1.max(floor).ln()).collect(),
+        }
+    }
+
+    /// The straight pieces; one of no width for a single point.
+    pub fn segments(&self) -> Vec<Segment> {
+        let last = self.log_omega.len().saturating_sub(1);
+        let piece = |(left, right): (usize, usize)| Segment {
+            log_omega: [self.log_omega[left], self.log_omega[right]],
+            log_error: [self.log_error[left], self.log_error[right]],
+        };
+        match self.log_omega.len() {
+            0 => Vec::new(),
+            1 => vec![piece((0, 0))],
+            _ => (0..last).map(|k| piece((k, k + 1))).collect(),
         }
     }
 
@@ -31,14 +47,14 @@ impl ErrorCurve {
 
 /// An error that a bound has to cover at one frequency.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct EnvelopePoint {
+pub(crate) struct EnvelopePoint {
     pub omega: f64,
     pub error: f64,
 }
 
 /// The largest of all curves at every measured frequency and, between neighbours, at steps of at most `step` in
 /// `ln(omega)`.
-pub(super) fn envelope(curves: &[ErrorCurve], step: f64) -> Vec<EnvelopePoint> {
+pub(crate) fn envelope(curves: &[ErrorCurve], step: f64) -> Vec<EnvelopePoint> {
     let mut measured: Vec<f64> = curves.iter().flat_map(|c| c.log_omega.iter().copied()).collect();
     measured.sort_by(f64::total_cmp);
     measured.dedup();
@@ -57,7 +73,7 @@ pub(super) fn envelope(curves: &[ErrorCurve], step: f64) -> Vec<EnvelopePoint> {
 }
 
 /// For each point, the largest error within a factor `width` of its frequency.
-pub(super) fn running_maximum(points: &[EnvelopePoint], width: f64) -> Vec<f64> {
+pub(crate) fn running_maximum(points: &[EnvelopePoint], width: f64) -> Vec<f64> {
     points
         .iter()
         .map(|p| {

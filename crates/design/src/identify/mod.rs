@@ -4,14 +4,18 @@
 //! - [`SweepRecord`]: the measured points, as text that a user can supply instead;
 //! - [`fit_third_order`]: gain, resonance and circuit pole, with standard errors;
 //! - [`cap_additive_error`]: a second-order weight that lies on or above the error of every point;
+//! - [`cover_family`]: the same for any family of responses, several ports, any order up to eight;
 //! - [`PlantModel`]: what the synthesis works from.
 
+mod certified_touch;
 mod cover;
 mod envelope;
+mod family;
 mod first_order;
 mod fit;
 mod least_squares;
 mod magnitude_design;
+mod minimum_phase;
 mod model;
 mod plan;
 mod record;
@@ -22,9 +26,13 @@ mod third_order;
 pub use cover::{
     CoverOptions, ErrorPoint, ErrorSeries, UncertaintyBound, cap_additive_error, cap_family_error,
 };
+pub use family::{
+    Between, FamilyCover, FamilyOptions, FamilyWeight, OrderChoice, UncertaintyForm, WeightStructure,
+    central_response, cover_family, cover_family_around,
+};
 pub use first_order::{FirstOrderFit, fit_first_order};
 pub use fit::{FitOptions, Residual, ThirdOrderFit, Weighting, fit_third_order};
-pub use magnitude_design::BoundShape;
+pub use magnitude_design::{BoundShape, ORDER_MAX};
 pub use model::{Controlled, InputLinearisation, ModelProvenance, PlantModel};
 pub use plan::{SweepOptions, SweepPlan, SweepSegment, log_spaced};
 pub use record::{Distortion, SweepPoint, SweepRecord};

@@ -2,6 +2,7 @@
 
 #![allow(clippy::print_stdout)]
 
+mod family;
 mod identification;
 mod implementation;
 mod printed;
