@@ -133,29 +133,6 @@ impl ProblemFile {
         }
     }
 
-    /// A yes or no.
-    pub(super) fn flag(&self, key: &str) -> Result<Option<bool>> {
-        let Some(value) = self.field(key) else { return Ok(None) };
-        match value.as_bool() {
-            Some(flag) => Ok(Some(flag)),
-            None => Err(self.complaint(key, &format!("expected true or false, found {}", kind(value)))),
-        }
-    }
-
-    /// A list of numbers.
-    pub(super) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>> {
-        let Some(value) = self.field(key) else { return Ok(None) };
-        let Value::Array(entries) = value else {
-            return Err(self.complaint(key, &format!("expected a list of numbers, found {}", kind(value))));
-        };
-        let number = |(idx, entry): (usize, &Value)| {
-            entry.as_f64().filter(|number| number.is_finite()).ok_or_else(|| {
-                self.complaint(key, &format!("entry {idx}: expected a number, found {}", kind(entry)))
-            })
-        };
-        entries.iter().enumerate().map(number).collect::<Result<Vec<f64>>>().map(Some)
-    }
-
     /// The settings under `options`, of which only the named ones are known.
     pub(super) fn options(&self, known: &[&str]) -> Result<Self> {
         let name = format!("{}, options", self.name);
@@ -173,11 +150,6 @@ impl ProblemFile {
             );
         }
         Ok(Self { name, fields: fields.clone(), asked: RefCell::default() })
-    }
-
-    /// The raw value of a key that is neither number nor matrix.
-    pub(super) fn value(&self, key: &str) -> Option<&Value> {
-        self.field(key)
     }
 
     /// A matrix that must be there.
