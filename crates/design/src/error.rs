@@ -512,6 +512,25 @@ pub enum Error {
         i_per_s: f64,
     },
 
+    // ---- synthesize: mixed sensitivity, H2, loop shaping ----
+    /// A mixed-sensitivity problem without any weight asks for nothing.
+    #[error("mixed sensitivity needs at least one of the weights W1, W2, W3, found none")]
+    NoWeight,
+    /// The closed loop passes white noise directly whatever the controller does.
+    #[error(
+        "H2 norm is infinite for every controller: {direct_term:e} of D11 cannot be cancelled by static feedback"
+    )]
+    InfiniteH2Norm {
+        /// Norm of the part of `D11` that no static feedback cancels.
+        direct_term: f64,
+    },
+    /// The shaped plant of a loop-shaping problem cannot be stabilized.
+    #[error("shaped plant must be stabilizable and detectable (was a mode cancelled by a weight?): {reason}")]
+    ShapedPlant {
+        /// What the Riccati equation ran into.
+        reason: telepulse_lti::Error,
+    },
+
     // ---- verify ----
     /// The closed loop is not stable, so it has no certificate.
     #[error("closed loop must be stable, found poles at {} rad/s", list(poles))]

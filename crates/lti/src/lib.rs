@@ -9,6 +9,7 @@
 pub mod balance;
 mod compensated;
 pub mod connect;
+pub mod coprime;
 pub mod discretize;
 pub mod domain;
 pub mod eigenvalues;

@@ -5,6 +5,7 @@
 mod family;
 mod identification;
 mod implementation;
+mod loop_synthesis;
 mod printed;
 mod synthesis;
 mod verification;
