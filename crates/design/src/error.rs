@@ -512,6 +512,63 @@ pub enum Error {
         i_per_s: f64,
     },
 
+    // ---- pid: forms, rules, margins ----
+    /// The zeros of a PID controller are not both real and stable.
+    #[error(
+        "controller must have real stable zeros for a series form, found numerator coefficients {numerator:?} in descending powers"
+    )]
+    PidNoSeriesForm {
+        /// Numerator over `s (s + N)`, or without derivative over `s`.
+        numerator: [f64; 3],
+    },
+    /// A pole or zero that the half rule has no reduction for.
+    #[error("the half rule needs real stable poles and real zeros, found {root} rad/s")]
+    PidHalfRule {
+        /// The pole or zero in rad/s.
+        root: Complex64,
+    },
+    /// Proportional control does not bring the plant to its stability boundary.
+    #[error("plant must become unstable under a large enough proportional gain and be stable below it")]
+    PidNoCriticalPoint,
+    /// The controller cannot turn the phase as far as the margin needs.
+    #[error(
+        "controller phase at {omega_rad_s} rad/s must be {needed_deg} degrees, within reach are {min_deg} to {max_deg}"
+    )]
+    PidPhaseOutOfReach {
+        /// Crossover frequency in rad/s.
+        omega_rad_s: f64,
+        /// Phase the margin needs, in degrees.
+        needed_deg: f64,
+        /// Least phase within reach.
+        min_deg: f64,
+        /// Largest phase within reach.
+        max_deg: f64,
+    },
+    /// The loop crosses gain one elsewhere with a smaller phase margin.
+    #[error("phase margin must be at least {wanted_deg} degrees, found {found_deg} at {omega_rad_s} rad/s")]
+    PidMarginNotMet {
+        /// Phase margin asked for, in degrees.
+        wanted_deg: f64,
+        /// Least phase margin of all crossings, in degrees.
+        found_deg: f64,
+        /// Where it is, in rad/s.
+        omega_rad_s: f64,
+    },
+    /// No crossover frequency gives a loop that is stable and has the margins asked for.
+    #[error(
+        "no crossover from {bottom_rad_s} to {top_rad_s} rad/s gives a stable loop with a phase margin of {phase_margin_deg} degrees and a peak of S below {ms_max}"
+    )]
+    PidNoCrossover {
+        /// Lowest frequency that was tried, in rad/s.
+        bottom_rad_s: f64,
+        /// Highest frequency that was tried, in rad/s.
+        top_rad_s: f64,
+        /// Phase margin asked for, in degrees.
+        phase_margin_deg: f64,
+        /// Limit of the peak of S.
+        ms_max: f64,
+    },
+
     // ---- synthesize: mixed sensitivity, H2, loop shaping ----
     /// A mixed-sensitivity problem without any weight asks for nothing.
     #[error("mixed sensitivity needs at least one of the weights W1, W2, W3, found none")]

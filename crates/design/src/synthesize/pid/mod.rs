@@ -5,15 +5,25 @@
 
 mod convex_step;
 mod factors;
+mod half_rule;
 mod integral_gain;
 #[cfg(test)]
 mod integral_gain_tests;
+mod lag_model;
 mod loop_check;
 mod peaks;
 mod plant;
+mod rules;
 mod stability;
+mod standard_form;
 mod starts;
 
+pub use half_rule::RuleModel;
 pub use integral_gain::{PidDesign, PidLimit, PidLimits, PidStructure, maximize_integral_gain};
+pub use lag_model::{CriticalPoint, LagModel};
 pub use loop_check::{PidLoopCheck, check_pid_loop};
 pub use plant::DelayedPlant;
+pub use rules::{
+    RuleTerms, SimcDesign, SimcOptions, amigo, lambda_tuning, simc, tune_simc, tyreus_luyben, ziegler_nichols,
+};
+pub use standard_form::{SeriesPid, StandardPid, WithFilter};

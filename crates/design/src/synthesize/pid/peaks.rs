@@ -92,27 +92,33 @@ impl ClosedLoopFunction<'_> {
         let (centre, radius) = (0.5 * (a + b), 0.5 * (b - a));
         let l = (self.loop_at)(centre);
         let change = inflate(radius * (self.loop_.rate(self.delay_s, a, b)));
+        let numerator =
+            (self.numerator_at)(centre) * (1.0 + inflate(radius * self.numerator.modulus_rate(a, b)));
+        let over_loop =
+            (self.over_loop_at)(centre) * (1.0 + inflate(radius * self.over_loop.modulus_rate(a, b)));
         // A / (1 + L)
         let first = {
             let below = (1.0 + l).norm() - l.norm() * change;
-            let above =
-                (self.numerator_at)(centre) * (1.0 + inflate(radius * self.numerator.modulus_rate(a, b)));
-            if below > 0.0 { above / below } else { f64::INFINITY }
+            if below > 0.0 { numerator / below } else { f64::INFINITY }
         };
         // (A/L) / (1 + 1/L)
         let second = {
             let below = (1.0 + l.inv()).norm() - change / l.norm();
-            let above =
-                (self.over_loop_at)(centre) * (1.0 + inflate(radius * self.over_loop.modulus_rate(a, b)));
-            if below > 0.0 { above / below } else { f64::INFINITY }
+            if below > 0.0 { over_loop / below } else { f64::INFINITY }
         };
+        // Where the loop is strong or weak its phase, which a delay turns fast, does not matter.
         let range = self.loop_.range(a, b);
         let third = if range.low > 1.0 {
-            self.over_loop.range(a, b).high / (1.0 - 1.0 / range.low)
+            smaller(over_loop, self.over_loop.range(a, b).high) / (1.0 - 1.0 / range.low)
         } else {
             f64::INFINITY
         };
-        smaller(smaller(first, second), third)
+        let fourth = if range.high < 1.0 {
+            smaller(numerator, self.numerator.range(a, b).high) / (1.0 - range.high)
+        } else {
+            f64::INFINITY
+        };
+        smaller(smaller(first, second), smaller(third, fourth))
     }
 
     fn tail_bound(&self, top: f64) -> f64 {
