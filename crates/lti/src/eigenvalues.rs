@@ -1,46 +1,43 @@
 //! Eigenvalues of a real matrix by a bounded QR iteration.
 
+use nalgebra::DMatrix;
+use num_complex::Complex64;
+
 use crate::Error;
 use crate::balance::balance_matrix;
-use nalgebra::{DMatrix, DVector, Schur};
-use num_complex::Complex64;
+use crate::francis;
+use crate::hessenberg::{check_square_and_finite, reduce};
+use crate::isolation::{permute, triangular_order};
+use crate::schur::scale_to_unit;
 
 /// The eigenvalues of a square real matrix, conjugate pairs exactly conjugate and next to each other.
 ///
-/// **Method**: diagonal balancing by powers of two, then the real Schur form. The QR iteration in use has no
-/// exceptional shifts and stalls on matrices such as a cyclic permutation; it is then restarted from an orthogonally
-/// similar matrix, which has the same eigenvalues and another Hessenberg form.
+/// **Method**: a permutation that isolates what is triangular already, diagonal balancing by powers of two, Householder reduction to Hessenberg form, then the implicit
+/// double-shift QR iteration with exceptional shifts on the active window alone.
+///
+/// **Source**: Golub and Van Loan 2013, section 7.5; LAPACK `dgebal`, `dgehrd` and `dlahqr`.
+///
+/// **Accuracy**: backward stable; a matrix that is triangular in some order of its states gives its diagonal exactly.
 ///
 /// # Errors
-/// [`Error::EigenvaluesNotConverged`] when every restart ran into the bound, [`Error::Shape`] unless `a` is square,
+/// [`Error::EigenvaluesNotConverged`] when the iteration ran into its bound, [`Error::Shape`] unless `a` is square,
 /// [`Error::NotFinite`] where an entry is not finite.
 pub fn eigenvalues(a: &DMatrix<f64>) -> Result<Vec<Complex64>, Error> {
-    let n = a.nrows();
-    if a.ncols() != n {
-        return Err(Error::Shape {
-            matrix: "a",
-            expected_rows: n,
-            expected_cols: n,
-            rows: n,
-            cols: a.ncols(),
-        });
+    check_square_and_finite("a", a)?;
+    let mut h = triangular_order(a).map_or_else(|| a.clone(), |order| permute(a, &order));
+    let scale = scale_to_unit(&mut h);
+    balance_matrix(&mut h);
+    eigenvalues_in_place(&mut h, scale)
+}
+
+/// The eigenvalues of a square matrix that was multiplied by `scale`; overwrites it, without balancing.
+pub(crate) fn eigenvalues_in_place(h: &mut DMatrix<f64>, scale: f64) -> Result<Vec<Complex64>, Error> {
+    reduce(h);
+    let mut values = francis::eigenvalues(h)?;
+    if scale != 1.0 {
+        values.iter_mut().for_each(|v| *v = v.unscale(scale));
     }
-    if let Some((index, &value)) = a.iter().enumerate().find(|(_, v)| !v.is_finite()) {
-        return Err(Error::NotFinite { quantity: "a", index, value });
-    }
-    let mut balanced = a.clone();
-    balance_matrix(&mut balanced);
-    let iterations = ITERATIONS_PER_ROW * n.max(1);
-    for restart in 0..RESTARTS {
-        let start = if restart == 0 { balanced.clone() } else { reflected(&balanced, restart) };
-        if let Some(schur) = Schur::try_new(start, f64::EPSILON, iterations) {
-            let values = quasi_triangular_eigenvalues(&schur.unpack().1);
-            if values.iter().all(|v| v.re.is_finite() && v.im.is_finite()) {
-                return Ok(values);
-            }
-        }
-    }
-    Err(Error::EigenvaluesNotConverged { n, iterations })
+    Ok(values)
 }
 
 /// The spectrum of a real quasi upper triangular matrix: its diagonal and its 2 x 2 diagonal blocks.
@@ -77,22 +74,6 @@ fn block_eigenvalues(a: f64, b: f64, c: f64, d: f64) -> [Complex64; 2] {
     [Complex64::new(d + z, 0.0), Complex64::new(other, 0.0)]
 }
 
-/// `H A H` with the Householder reflection `H` of a fixed vector without symmetry.
-fn reflected(a: &DMatrix<f64>, restart: usize) -> DMatrix<f64> {
-    let v = DVector::from_fn(a.nrows(), |i, _| ((i + 1) as f64 * (restart as f64 + GOLDEN_RATIO)).sin());
-    let v = v.normalize();
-    let left = a - (&v * 2.0) * (v.transpose() * a);
-    let shadow = &left * &v;
-    left - shadow * (v.transpose() * 2.0)
-}
-
-/// Double-shift steps allowed per row; two to four are usual (Golub and Van Loan 2013, section 7.5).
-const ITERATIONS_PER_ROW: usize = 60;
-/// Starting points tried before the answer is "not converged".
-const RESTARTS: usize = 4;
-/// An irrational offset: no restart repeats the symmetry of the matrix.
-const GOLDEN_RATIO: f64 = 1.618_033_988_749_895;
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -102,7 +83,7 @@ mod tests {
         // Francis steps without exceptional shifts leave this matrix unchanged.
         for n in [3, 4, 5, 8] {
             let cycle = DMatrix::from_fn(n, n, |i, j| if i == (j + 1) % n { 1.0 } else { 0.0 });
-            let values = eigenvalues(&cycle).expect("restarted");
+            let values = eigenvalues(&cycle).expect("exceptional shifts");
             for value in values {
                 assert!((value.powu(n as u32) - 1.0).norm() < 1e-13, "n {n}: {value}");
             }

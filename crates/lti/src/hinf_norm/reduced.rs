@@ -55,7 +55,8 @@ impl Reduced {
         };
         let (mut hessenberg, mut hessenberg_b, mut hessenberg_c) = (balanced.clone(), b.clone(), c.clone());
         to_hessenberg(&mut hessenberg, &mut hessenberg_b, &mut hessenberg_c);
-        let poles = eigenvalues(&balanced)?;
+        // Not of the transpose: what is block triangular in the given order stays so.
+        let poles = eigenvalues(balanced_sys.a())?;
         let all_poles = if all_kept { poles.clone() } else { hidden_poles };
         let sample_time_s = sys.domain().sample_time_of().map(crate::SampleTime::seconds);
         let reduced =
