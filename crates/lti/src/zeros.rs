@@ -189,7 +189,7 @@ impl SystemMatrix {
 /// Householder reflections with column pivoting. A reflection that moves a coordinate axis onto another is an exact
 /// permutation, so the zeros of a companion form stay zeros; singular vectors would fill them with rounding errors, which
 /// a high relative degree then multiplies.
-fn row_compression(m: &DMatrix<f64>, tolerance: f64) -> (DMatrix<f64>, usize) {
+pub(crate) fn row_compression(m: &DMatrix<f64>, tolerance: f64) -> (DMatrix<f64>, usize) {
     let n = m.nrows();
     let (mut rest, mut U) = (m.clone(), DMatrix::identity(n, n));
     let mut rank = 0;

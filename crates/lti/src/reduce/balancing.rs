@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::gramian_factor::{controllability_factor, observability_factor};
+use super::jacobi_svd::{Svd, jacobi_svd};
 use crate::{Error, StateSpace, TimeDomain};
 
 /// The bases in which a reduced model is cut out.
@@ -44,27 +45,8 @@ impl Balancing {
 
     /// From any two factors with as many rows as the system has states.
     pub(super) fn from_factors(s: DMatrix<f64>, r: DMatrix<f64>) -> Result<Self, Error> {
-        let n = s.nrows();
-        if n == 0 {
-            let empty = DMatrix::zeros(0, 0);
-            return Ok(Self {
-                s: empty.clone(),
-                r: empty.clone(),
-                u: empty.clone(),
-                v: empty,
-                values: Vec::new(),
-            });
-        }
-        let product = r.tr_mul(&s);
-        if let Some((index, &value)) = product.iter().enumerate().find(|(_, v)| !v.is_finite()) {
-            return Err(Error::NotFinite { quantity: "product of gramian factors", index, value });
-        }
-        let svd = product.try_svd(true, true, f64::EPSILON, SVD_ITERATIONS_PER_ROW * n);
-        let lost = Error::EigenvaluesNotConverged { n, iterations: SVD_ITERATIONS_PER_ROW * n };
-        let svd = svd.ok_or_else(|| lost.clone())?;
-        let (u, v_t) = (svd.u.ok_or_else(|| lost.clone())?, svd.v_t.ok_or(lost)?);
-        // nalgebra sorts the values in descending order.
-        Ok(Self { s, r, u, v: v_t.transpose(), values: svd.singular_values.iter().copied().collect() })
+        let Svd { u, values, v } = jacobi_svd(&r.tr_mul(&s))?;
+        Ok(Self { s, r, u, v, values })
     }
 
     /// Number of Hankel singular values above rounding.
@@ -112,5 +94,3 @@ impl Balancing {
 
 /// Spread of kept Hankel singular values up to which balanced coordinates lose fewer than half of the digits.
 const SPREAD_OF_SQUARE_ROOT: f64 = 1e8;
-/// Implicit QR steps allowed per row; two to three are usual.
-const SVD_ITERATIONS_PER_ROW: usize = 200;
