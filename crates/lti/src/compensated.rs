@@ -2,6 +2,8 @@
 
 use nalgebra::DMatrix;
 
+use crate::doubled_matrix::DoubledMatrix;
+
 /// An unevaluated sum `high + low` with `low` below the last bit of `high`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Doubled {
@@ -24,14 +26,16 @@ impl Doubled {
 }
 
 /// `a + b` and its rounding error. **Source**: Knuth, TAOCP volume 2, section 4.2.2.
-fn two_sum(a: f64, b: f64) -> (f64, f64) {
+#[inline(always)]
+pub(crate) fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let sum = a + b;
     let shadow = sum - a;
     (sum, (a - (sum - shadow)) + (b - shadow))
 }
 
 /// `a * b` and its rounding error. **Source**: Dekker 1971; exact while no product overflows.
-fn two_product(a: f64, b: f64) -> (f64, f64) {
+#[inline(always)]
+pub(crate) fn two_product(a: f64, b: f64) -> (f64, f64) {
     let product = a * b;
     let (a_high, a_low) = split(a);
     let (b_high, b_low) = split(b);
@@ -39,6 +43,7 @@ fn two_product(a: f64, b: f64) -> (f64, f64) {
 }
 
 /// Two halves of a significand that multiply without rounding.
+#[inline(always)]
 fn split(a: f64) -> (f64, f64) {
     let shifted = SPLITTER * a;
     let high = shifted - (shifted - a);
@@ -52,35 +57,12 @@ pub(crate) fn riccati_residual(
     q: &DMatrix<f64>,
     x: &DMatrix<f64>,
 ) -> DMatrix<f64> {
-    let n = a.nrows();
-    let mut gx = vec![Doubled::default(); n * n];
-    for j in 0..n {
-        for i in 0..n {
-            let mut sum = Doubled::default();
-            for k in 0..n {
-                sum.add_product(g[(i, k)], x[(k, j)]);
-            }
-            // Renormalised, so that the high part is the rounded product.
-            let (high, low) = two_sum(sum.high, sum.low);
-            gx[i + n * j] = Doubled { high, low };
-        }
-    }
-    let mut residual = DMatrix::zeros(n, n);
-    for j in 0..n {
-        for i in 0..=j {
-            let mut sum = Doubled { high: q[(i, j)], low: 0.0 };
-            for k in 0..n {
-                sum.add_product(a[(k, i)], x[(k, j)]);
-                sum.add_product(x[(i, k)], a[(k, j)]);
-                let product = gx[k + n * j];
-                sum.add_product(-x[(i, k)], product.high);
-                sum.low -= x[(i, k)] * product.low;
-            }
-            residual[(i, j)] = sum.value();
-            residual[(j, i)] = sum.value();
-        }
-    }
-    residual
+    let (a, g, q, x) =
+        (DoubledMatrix::from(a), DoubledMatrix::from(g), DoubledMatrix::from(q), DoubledMatrix::from(x));
+    let product = a.transpose().times(&x);
+    let cubic = x.times(&g.times(&x));
+    let residual = product.plus_transpose().plus(&q).minus(&cubic).rounded();
+    (&residual + residual.transpose()) * 0.5
 }
 
 /// 2^27 + 1.

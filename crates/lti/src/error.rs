@@ -322,6 +322,51 @@ pub enum Error {
         /// The value below which the equation counts as singular.
         threshold: f64,
     },
+    // ---- matrix equations ----
+    /// A Sylvester equation whose matrices have eigenvalues with the forbidden sum or product has no unique solution.
+    #[error(
+        "the sylvester equation is singular: eigenvalues of its two matrices {relation}, pivot {pivot:e} against {threshold:e}"
+    )]
+    SylvesterSingular {
+        /// `sum to zero` or `multiply to one`.
+        relation: &'static str,
+        /// Smallest pivot met.
+        pivot: f64,
+        /// The value below which the equation counts as singular.
+        threshold: f64,
+    },
+    /// The inputs cannot move an unstable mode, so no feedback stabilizes it.
+    #[error("no input reaches the mode at {pole}: smallest singular value {smallest_singular_value:e}")]
+    NotStabilizable {
+        /// The mode, in rad/s (continuous) or in the z plane (discrete).
+        pole: Complex64,
+        /// Smallest singular value of `[A - pole I, B]` in balanced coordinates, over its norm.
+        smallest_singular_value: f64,
+    },
+    /// A symplectic pencil has eigenvalues on the unit circle, so the discrete equation has no stabilizing solution.
+    #[error("the symplectic pencil has eigenvalues on the unit circle, nearest {point}")]
+    SymplecticCircle {
+        /// The nearest eigenvalue, in the z plane.
+        point: Complex64,
+    },
+    /// No route to the solution of a Riccati equation left a small residual and a stable closed loop.
+    #[error(
+        "the riccati equation is too ill conditioned: best relative residual {residual_relative:e}, condition {condition:e}"
+    )]
+    RiccatiIllConditioned {
+        /// Smallest residual of any route, relative to the terms of the equation.
+        residual_relative: f64,
+        /// Estimate of the condition at that solution; infinite where its closed loop is not stable.
+        condition: f64,
+    },
+    /// The second route to a Riccati solution ran into its bound.
+    #[error("the {route} iteration for a riccati equation did not converge in {iterations} steps")]
+    RiccatiNotConverged {
+        /// Which iteration.
+        route: &'static str,
+        /// Steps allowed.
+        iterations: usize,
+    },
     // ---- reduce ----
     /// A setting of a reduction lies outside of what is allowed.
     #[error("{setting} must be {allowed}, found {found}")]

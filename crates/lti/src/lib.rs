@@ -12,6 +12,7 @@ pub mod connect;
 pub mod coprime;
 pub mod discretize;
 pub mod domain;
+mod doubled_matrix;
 pub mod eigenvalues;
 pub mod error;
 mod francis;
@@ -30,7 +31,9 @@ pub mod riccati;
 pub mod schur;
 pub mod simulate;
 pub mod state_space;
+pub mod sylvester;
 pub mod transfer_function;
+mod triangular_equation;
 mod vectorized;
 pub mod zeros;
 

@@ -16,8 +16,9 @@ use num_complex::Complex64;
 
 use crate::Error;
 use crate::compensated::riccati_residual;
-use crate::lyapunov::{self, check_symmetric};
+use crate::lyapunov::{check_symmetric, solve_adjoint_with};
 use crate::schur::RealSchur;
+use crate::triangular_equation::{Kind, Symmetry, inverse_norm};
 
 /// The stable invariant subspace of a Hamiltonian matrix, `H [X1; X2] = [X1; X2] T`.
 ///
@@ -123,6 +124,9 @@ pub struct Solution {
     pub closed_loop_poles: Vec<Complex64>,
     /// Newton corrections that were accepted after the subspace method.
     pub n_newton_steps: usize,
+    /// Estimate of the relative change of `X` over a relative change of the terms, in balanced coordinates: the norms of
+    /// the terms over `||X||` and the separation of `A - G X` from its negative transpose.
+    pub condition: f64,
 }
 
 /// Returns the stabilizing solution of `Aᵀ X + X A - X G X + Q = 0`.
@@ -149,30 +153,38 @@ pub fn continuous(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Resul
     let subspace = StableSubspace::new(a, g, q)?;
     let mut balanced = Balanced::new(a, g, q);
     balanced.symmetrize();
-    let mut x = subspace.balanced_solution()?;
-    let mut poles = subspace.poles.clone();
-    let mut residual = balanced.residual(&x);
+    let mut best = balanced.candidate(subspace.balanced_solution()?)?;
     let mut n_newton_steps = 0;
     for _ in 0..NEWTON_STEPS_MAX {
-        if residual.relative < f64::EPSILON {
+        if best.residual.relative < f64::EPSILON {
             break;
         }
         // (A - G X)ᵀ N + N (A - G X) + R = 0
-        let closed_loop = &balanced.a - &balanced.g * &x;
-        let Ok(step) = lyapunov::continuous(&closed_loop.transpose(), &residual.matrix) else { break };
-        let candidate = &x + step.x;
-        let candidate_residual = balanced.residual(&candidate);
-        let candidate_poles = RealSchur::new(&(&balanced.a - &balanced.g * &candidate))?.eigenvalues();
-        let stable = candidate_poles.iter().all(|p| p.re < 0.0);
-        if !stable || candidate_residual.relative.is_nan() || candidate_residual.relative >= residual.relative
-        {
+        let Ok(step) = solve_adjoint_with(&best.closed_loop, &best.residual.matrix, Kind::Continuous) else {
+            break;
+        };
+        let next = balanced.candidate(&best.x + step)?;
+        let improved = next.residual.relative < best.residual.relative;
+        if !improved || next.poles.iter().any(|p| p.re >= 0.0) {
             break;
         }
-        (x, residual, poles) = (candidate, candidate_residual, candidate_poles);
+        let negligible = next.residual.relative > 0.5 * best.residual.relative;
+        best = next;
         n_newton_steps += 1;
+        if negligible {
+            break;
+        }
     }
-    let x = unscale(&x, &balanced.scaling);
-    Ok(Solution { x, residual_relative: residual.relative, closed_loop_poles: poles, n_newton_steps })
+    let t = &best.closed_loop.t;
+    let inverse = inverse_norm(t, t, Kind::Continuous, Symmetry::Symmetric);
+    let condition = inverse * best.residual.scale / best.x.norm();
+    Ok(Solution {
+        x: unscale(&best.x, &balanced.scaling),
+        residual_relative: best.residual.relative,
+        closed_loop_poles: best.poles,
+        n_newton_steps,
+        condition: if best.residual.scale > 0.0 { condition } else { inverse },
+    })
 }
 
 /// Returns the stabilizing solution of `Aᵀ X + X A - (X B + S) R⁻¹ (Bᵀ X + Sᵀ) + Q = 0`.
@@ -227,6 +239,15 @@ fn unscale(x: &DMatrix<f64>, d: &DVector<f64>) -> DMatrix<f64> {
 struct Residual {
     matrix: DMatrix<f64>,
     relative: f64,
+    scale: f64,
+}
+
+/// A solution in balanced coordinates with what is known of it.
+struct Candidate {
+    x: DMatrix<f64>,
+    residual: Residual,
+    closed_loop: RealSchur,
+    poles: Vec<Complex64>,
 }
 
 /// The blocks of `S⁻¹ H S` with `S = diag(D, D⁻¹)`.
@@ -308,7 +329,14 @@ impl Balanced {
         let matrix = riccati_residual(&self.a, &self.g, &self.q, x);
         let scale = 2.0 * (x * &self.a).norm() + (x * &self.g * x).norm() + self.q.norm();
         let relative = if scale > 0.0 { matrix.norm() / scale } else { 0.0 };
-        Residual { matrix, relative }
+        Residual { matrix, relative, scale }
+    }
+
+    fn candidate(&self, x: DMatrix<f64>) -> Result<Candidate, Error> {
+        let residual = self.residual(&x);
+        let closed_loop = RealSchur::new(&(&self.a - &self.g * &x))?;
+        let poles = closed_loop.eigenvalues();
+        Ok(Candidate { x, residual, closed_loop, poles })
     }
 
     /// The balanced Hamiltonian matrix, `2n × 2n`.
