@@ -38,7 +38,7 @@ pub(super) fn check(plant: &NormalizedPlant, strictness: Strictness) -> Result<(
     let zeros_21 = (a - plant.b1.columns(n_wf, n_y) * c2).transpose();
     let seen_12 = plant.c1.rows(0, n_zf).into_owned();
     let seen_21 = plant.b1.columns(0, n_wf).transpose();
-    for (path, dynamics, seen) in [("u to z (P12)", zeros_12, seen_12), ("w to y (P21)", zeros_21, seen_21)] {
+    for (path, dynamics, seen) in [(CONTROL_PATH, zeros_12, seen_12), (FILTER_PATH, zeros_21, seen_21)] {
         let near = margin(&dynamics, strictness);
         for zero in eigenvalues(&dynamics)?.into_iter().filter(|m| m.im >= 0.0 && m.re.abs() <= near) {
             let on_axis = Complex64::new(0.0, zero.im);
@@ -77,3 +77,8 @@ fn loses_rank(a: &DMatrix<f64>, c: &DMatrix<f64>, mode: Complex64, strictness: S
     };
     values.min() <= threshold * values.max()
 }
+
+/// The path whose zeros limit the control Riccati equation.
+pub(super) const CONTROL_PATH: &str = "u to z (P12)";
+/// The path whose zeros limit the filter Riccati equation.
+const FILTER_PATH: &str = "w to y (P21)";

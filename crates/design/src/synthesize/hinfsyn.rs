@@ -8,6 +8,7 @@ use super::central_controller::{Condition, Feasible, Test, parrott_bound, test};
 use super::controller_gain::peak_gain;
 use super::controller_speed::slowed_down;
 use super::normalized_plant::NormalizedPlant;
+use super::regularize::regularized_design;
 use crate::Error;
 
 /// Settings of [`hinfsyn`].
@@ -152,7 +153,25 @@ impl HinfDesign {
 /// ```
 pub fn hinfsyn(plant: &GeneralizedPlant, options: &HinfOptions) -> Result<HinfDesign, Error> {
     check_options(options)?;
-    let normalized = NormalizedPlant::new(plant)?;
+    match regular_design(plant, plant, options) {
+        Err(
+            reason @ (Error::SingularD12 { .. }
+            | Error::SingularD21 { .. }
+            | Error::AxisZero { .. }
+            | Error::IllConditioned { .. }
+            | Error::NotConverged { .. }),
+        ) if options.singular == SingularProblem::Regularize => regularized_design(plant, options, reason),
+        other => other,
+    }
+}
+
+/// Designs for `solved`, which must be regular, and measures on `plant`, which has the same `u` and `y`.
+pub(super) fn regular_design(
+    solved: &GeneralizedPlant,
+    plant: &GeneralizedPlant,
+    options: &HinfOptions,
+) -> Result<HinfDesign, Error> {
+    let normalized = NormalizedPlant::new(solved)?;
     assumptions::check(&normalized, Strictness::Certain)?;
     let bracket = Bracket::find(&normalized, options)?;
     let gamma_floor = bracket.upper.max(bracket.lower);

@@ -17,6 +17,8 @@ mod mixed_sensitivity;
 mod ncfsyn;
 mod normalized_plant;
 pub mod pid;
+mod pointwise_bound;
+mod regularize;
 mod weight_shape;
 
 pub use central_controller::Condition;

@@ -5,7 +5,8 @@ use nalgebra::DMatrix;
 use serde_json::Value;
 use telepulse_design::Error;
 use telepulse_design::synthesize::{
-    Condition, HinfOptions, MixedSensitivityWeights, hinfsyn, mixed_sensitivity,
+    Condition, HinfOptions, LoopWeights, MixedSensitivityWeights, Repaired, SingularProblem, augw, hinfsyn,
+    mixed_sensitivity,
 };
 use telepulse_design::verify::{LoopUnderTest, verify};
 use telepulse_lti::{Continuous, GeneralizedPlant, StateSpace, TransferFunction, hinf_norm};
@@ -239,7 +240,7 @@ fn small_plant(a: [f64; 4], b: [f64; 4], c: [f64; 4], d: [f64; 4]) -> Generalize
 
 #[test]
 fn edge_each_violated_assumption_has_its_own_error() {
-    let options = HinfOptions::default();
+    let options = HinfOptions { singular: SingularProblem::Refuse, ..HinfOptions::default() };
     let regular = [0.0, 1.0, 1.0, 0.0];
     // A control input without a weight, a measurement without noise.
     let plant =
@@ -261,6 +262,73 @@ fn edge_each_violated_assumption_has_its_own_error() {
     match hinfsyn(&plant, &options) {
         Err(Error::AxisZero { omega_rad_s, .. }) => assert!((omega_rad_s - 3.0).abs() < 1e-9),
         other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn law_singular_problems_come_near_the_bound_that_interpolation_sets() {
+    let siso = |num: &[f64], den: &[f64]| tf(num, den).to_state_space();
+    // No weight on u. A zero at 1 fixes S(1) = 1, a pole at 1 fixes T(1) = 1: the infimum is the weight there.
+    let w1 = siso(&[0.5, 1.0], &[1.0, 0.01]);
+    let nonminimum_phase = siso(&[-1.0, 1.0], &[1.0, 2.0, 1.0]);
+    let w3 = siso(&[1.0, 2.0], &[1.0, 10.0]);
+    let unstable = siso(&[1.0], &[1.0, -1.0]);
+    // A plant without zeros leaves the weight at infinity.
+    let lag = siso(&[3.0], &[1.0, 1.0]);
+    let cases = [
+        (&nonminimum_phase, Some(&w1), None, 1.5 / 1.01),
+        (&unstable, None, Some(&w3), 3.0 / 11.0),
+        (&lag, Some(&w1), None, 0.5),
+    ];
+    for (case, (g, w1, w3, infimum)) in cases.into_iter().enumerate() {
+        let weights = LoopWeights { w1, w2: None, w3 };
+        let plant = augw(g, &weights).expect("stable weights");
+        // The dual plant is singular in D21 instead of D12.
+        let (b, c) = (plant.sys().b().clone(), plant.sys().c().clone());
+        let sys = StateSpace::<Continuous>::new(
+            plant.a().transpose(),
+            c.transpose(),
+            b.transpose(),
+            plant.sys().d().transpose(),
+        );
+        let dual =
+            GeneralizedPlant::new(sys.expect("shapes"), plant.n_z(), 1, plant.n_w(), 1).expect("ports");
+        for (plant, is_dual) in [(&plant, false), (&dual, true)] {
+            let design = hinfsyn(plant, &HinfOptions::default()).expect("regularised");
+            let how = design.regularization.expect("singular");
+            let (here, there) = if is_dual { (how.d21, how.d12) } else { (how.d12, how.d21) };
+            assert_eq!((here, there), (Repaired::Yes, Repaired::No), "case {case}");
+            let closed = plant.lower_lft(&design.controller).expect("proper");
+            assert!(closed.poles().expect("poles").iter().all(|p| p.re < 0.0), "case {case}");
+            let largest = (0..4000)
+                .map(|k| 10f64.powf(-6.0 + f64::from(k) * 0.003))
+                .fold(0.0, |most: f64, w| most.max(closed.at(w).expect("stable").singular_values().max()));
+            assert!(
+                (largest / design.achieved.value - 1.0).abs() < 1e-3,
+                "case {case}: {largest} {design:?}"
+            );
+            assert!(design.gamma_lower <= infimum * (1.0 + 1e-9), "case {case}: {}", design.gamma_lower);
+            let ratio = design.achieved.value / infimum;
+            assert!((1.0 - 1e-9..1.011).contains(&ratio), "case {case} dual {is_dual}: {ratio}");
+        }
+    }
+}
+
+#[test]
+fn law_zeros_on_the_axis_are_regularised_and_measured_on_the_plant_as_given() {
+    // The numerator of P12 is s² + 9, or s²: a resonance, a double integrator.
+    for (c, omega) in [([7.0, -3.0, 1.0, 0.0], 3.0), ([-2.0, -3.0, 1.0, 0.0], 0.0)] {
+        let plant = small_plant([0.0, 1.0, -2.0, -3.0], [0.0, 0.0, 1.0, 1.0], c, [0.0, 1.0, 1.0, 0.0]);
+        let design = hinfsyn(&plant, &HinfOptions::default()).expect("regularised");
+        let how = design.regularization.expect("singular");
+        assert_eq!(how.axis_zeros, Repaired::Yes, "{omega}");
+        let closed = plant.lower_lft(&design.controller).expect("proper");
+        assert!(closed.poles().expect("poles").iter().all(|p| p.re < 0.0));
+        let norm = hinf_norm(&closed).expect("stable").value;
+        assert!((norm / design.achieved.value - 1.0).abs() < 1e-9);
+        // K = 0 is a controller too.
+        let open = plant.sys().select(&[0], &[0]).expect("ports");
+        assert!(norm <= 1.01 * hinf_norm(&open).expect("stable").value, "{omega}: {norm}");
     }
 }
 
