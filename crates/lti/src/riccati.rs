@@ -11,7 +11,17 @@
 //! The subspace exists wherever `H` has no eigenvalues on the imaginary axis, also where `X` does not; it is what
 //! H-infinity conditions should be tested on.
 
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+mod balancing;
+mod general;
+#[cfg(test)]
+mod general_tests;
+mod iterations;
+mod pencil;
+mod refinement;
+mod stabilizability;
+mod subspace;
+
+use nalgebra::DMatrix;
 use num_complex::Complex64;
 
 use crate::Error;
@@ -19,98 +29,11 @@ use crate::compensated::riccati_residual;
 use crate::lyapunov::{check_symmetric, solve_adjoint_with};
 use crate::schur::RealSchur;
 use crate::triangular_equation::{Kind, Symmetry, inverse_norm};
+use balancing::{Balanced, unscale};
+use subspace::RECIPROCAL_CONDITION_MIN;
 
-/// The stable invariant subspace of a Hamiltonian matrix, `H [X1; X2] = [X1; X2] T`.
-///
-/// The basis is orthonormal in *balanced* coordinates: with `D = diag(scaling)`, the basis in the caller's
-/// coordinates is `[D X1; D⁻¹ X2]`. All entries of `D` are powers of two.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StableSubspace {
-    /// Upper half of the basis in balanced coordinates, `n × n`.
-    pub x1: DMatrix<f64>,
-    /// Lower half of the basis in balanced coordinates, `n × n`.
-    pub x2: DMatrix<f64>,
-    /// Diagonal of the balancing matrix `D`.
-    pub scaling: DVector<f64>,
-    /// `T`: the restriction of `H` to the subspace, quasi-triangular; similar to `A - G X` where `X` exists.
-    pub restriction: DMatrix<f64>,
-    /// Eigenvalues of `T`, in rad/s.
-    pub poles: Vec<Complex64>,
-    /// Norm of `X1ᵀ X2 - X2ᵀ X1`, zero in exact arithmetic.
-    pub isotropy_error: f64,
-}
-
-impl StableSubspace {
-    /// Returns the stable subspace of the Hamiltonian matrix with the blocks `A`, `G`, `Q`.
-    ///
-    /// **Shapes and units**: all `n × n`; `g` and `q` symmetric, any definiteness.
-    ///
-    /// **Method**: symplectic balancing by powers of two, real Schur form, stable eigenvalues moved to the top. An
-    /// eigenvalue on the axis shows either in the count of stable ones or, when rounding pushed a pair apart, in a
-    /// subspace that is not isotropic (`X1ᵀ X2` not symmetric); no distance from the axis has to be chosen.
-    ///
-    /// **Source**: Laub 1979; Benner 2001, "Symplectic balancing of Hamiltonian matrices".
-    ///
-    /// **Errors**: [`Error::HamiltonianAxis`], [`Error::NotSymmetric`], and those of [`RealSchur`].
-    pub fn new(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<Self, Error> {
-        let n = a.nrows();
-        for (matrix, m) in [("a", a), ("g", g), ("q", q)] {
-            if m.shape() != (n, n) {
-                let (rows, cols) = m.shape();
-                return Err(Error::Shape { matrix, expected_rows: n, expected_cols: n, rows, cols });
-            }
-        }
-        check_symmetric("g", g)?;
-        check_symmetric("q", q)?;
-        Balanced::new(a, g, q).stable_subspace()
-    }
-
-    /// Returns the principal angles `theta` of the subspace, sorted: the eigenvalues of `X` are their tangents.
-    ///
-    /// Angles lie in `(-pi/2, pi/2]`, in balanced coordinates. `X` is positive semidefinite where none is negative
-    /// (beyond rounding), infinite where one is `pi/2`. Unlike the eigenvalues of `X1ᵀ X2`, the angles tell an eigenvalue
-    /// of `X` that has passed through infinity (just above `-pi/2`) from one that is zero.
-    ///
-    /// **Method**: `W = X1 + i X2` is unitary, `W Wᵀ = P + i Q` has the eigenvalues `exp(2 i theta)`, and its real part
-    /// `P = X1 X1ᵀ - X2 X2ᵀ` and imaginary part `Q = X1 X2ᵀ + X2 X1ᵀ` are symmetric and commute.
-    pub fn angles(&self) -> Vec<f64> {
-        let p = &self.x1 * self.x1.transpose() - &self.x2 * self.x2.transpose();
-        let cross = &self.x1 * self.x2.transpose();
-        let q = &cross + cross.transpose();
-        // A combination with an irrational angle has the common eigenvectors of both.
-        let common = SymmetricEigen::new(&p * MIX.cos() + &q * MIX.sin());
-        let mut angles: Vec<f64> = common
-            .eigenvectors
-            .column_iter()
-            .map(|v| 0.5 * (&q * v).dot(&v).atan2((&p * v).dot(&v)))
-            .collect();
-        angles.sort_by(f64::total_cmp);
-        angles
-    }
-
-    /// Returns `X = X2 X1⁻¹` in the caller's coordinates.
-    ///
-    /// **Errors**: [`Error::NoStabilizingSolution`] when `X1` is singular to working precision.
-    pub fn solution(&self) -> Result<DMatrix<f64>, Error> {
-        Ok(unscale(&self.balanced_solution()?, &self.scaling))
-    }
-
-    fn balanced_solution(&self) -> Result<DMatrix<f64>, Error> {
-        let n = self.x1.nrows();
-        if n == 0 {
-            return Ok(DMatrix::zeros(0, 0));
-        }
-        let singular_values = self.x1.singular_values();
-        let reciprocal_condition = singular_values.min() / singular_values.max();
-        let failed = Error::NoStabilizingSolution { reciprocal_condition };
-        if reciprocal_condition.is_nan() || reciprocal_condition < RECIPROCAL_CONDITION_MIN {
-            return Err(failed);
-        }
-        // X X1 = X2, so X1ᵀ Xᵀ = X2ᵀ.
-        let xt = self.x1.transpose().lu().solve(&self.x2.transpose()).ok_or(failed)?;
-        Ok((&xt + xt.transpose()) * 0.5)
-    }
-}
+pub use general::{GeneralSolution, Route, SecondRoute, Terms, care, dare};
+pub use subspace::StableSubspace;
 
 /// The stabilizing solution of a Riccati equation and the evidence for it.
 #[derive(Clone, Debug, PartialEq)]
@@ -231,11 +154,6 @@ pub fn continuous_with_cross_term(
     continuous(&(a - b * rs), &((&g + g.transpose()) * 0.5), &((&q + q.transpose()) * 0.5))
 }
 
-/// `D⁻¹ X D⁻¹`.
-fn unscale(x: &DMatrix<f64>, d: &DVector<f64>) -> DMatrix<f64> {
-    DMatrix::from_fn(x.nrows(), x.ncols(), |i, j| x[(i, j)] / d[i] / d[j])
-}
-
 struct Residual {
     matrix: DMatrix<f64>,
     relative: f64,
@@ -250,81 +168,7 @@ struct Candidate {
     poles: Vec<Complex64>,
 }
 
-/// The blocks of `S⁻¹ H S` with `S = diag(D, D⁻¹)`.
-pub(crate) struct Balanced {
-    a: DMatrix<f64>,
-    g: DMatrix<f64>,
-    q: DMatrix<f64>,
-    scaling: DVector<f64>,
-}
-
 impl Balanced {
-    pub(crate) fn new(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Self {
-        let n = a.nrows();
-        let mut blocks =
-            Self { a: a.clone(), g: g.clone(), q: q.clone(), scaling: DVector::from_element(n, 1.0) };
-        for _ in 0..BALANCING_SWEEPS_MAX {
-            let mut settled = true;
-            for i in 0..n {
-                let f = blocks.factor(i);
-                if f != 1.0 {
-                    settled = false;
-                    blocks.scale(i, f);
-                }
-            }
-            if settled {
-                break;
-            }
-        }
-        blocks
-    }
-
-    /// Power of two by which state `i` should be scaled, 1 where that gains less than five per cent.
-    fn factor(&self, i: usize) -> f64 {
-        let off_diagonal = |sum: f64, k: usize, v: f64| if k == i { sum } else { sum + v.abs() };
-        let column_a = self.a.column(i).iter().enumerate().fold(0.0, |s, (k, &v)| off_diagonal(s, k, v));
-        let row_a = self.a.row(i).iter().enumerate().fold(0.0, |s, (k, &v)| off_diagonal(s, k, v));
-        let column_q = self.q.column(i).iter().enumerate().fold(0.0, |s, (k, &v)| off_diagonal(s, k, v));
-        let row_g = self.g.row(i).iter().enumerate().fold(0.0, |s, (k, &v)| off_diagonal(s, k, v));
-        let (diagonal_q, diagonal_g) = (self.q[(i, i)].abs(), self.g[(i, i)].abs());
-        // A state without column or row would be scaled without end (Parlett and Reinsch permute those away).
-        if column_a + column_q + diagonal_q == 0.0 || row_a + row_g + diagonal_g == 0.0 {
-            return 1.0;
-        }
-        // Scaling by f multiplies the column's entries by f, Q's diagonal by f², and divides row and G likewise.
-        let cost = |f: f64| {
-            (column_a + column_q) * f + (row_a + row_g) / f + diagonal_q * f * f + diagonal_g / (f * f)
-        };
-        let mut best = 1.0;
-        for direction in [2.0, 0.5] {
-            let mut f = direction;
-            for _ in 0..FACTOR_EXPONENT_MAX {
-                let total = (self.scaling[i] * f).log2().abs();
-                if cost(f) >= WORTHWHILE * cost(best) || total > SCALING_EXPONENT_MAX {
-                    break;
-                }
-                best = f;
-                f *= direction;
-            }
-        }
-        best
-    }
-
-    fn scale(&mut self, i: usize, f: f64) {
-        self.scaling[i] *= f;
-        self.a.column_mut(i).scale_mut(f);
-        self.a.row_mut(i).unscale_mut(f);
-        self.q.column_mut(i).scale_mut(f);
-        self.q.row_mut(i).scale_mut(f);
-        self.g.column_mut(i).unscale_mut(f);
-        self.g.row_mut(i).unscale_mut(f);
-    }
-
-    fn symmetrize(&mut self) {
-        self.g = (&self.g + self.g.transpose()) * 0.5;
-        self.q = (&self.q + self.q.transpose()) * 0.5;
-    }
-
     fn residual(&self, x: &DMatrix<f64>) -> Residual {
         let matrix = riccati_residual(&self.a, &self.g, &self.q, x);
         let scale = 2.0 * (x * &self.a).norm() + (x * &self.g * x).norm() + self.q.norm();
@@ -338,77 +182,15 @@ impl Balanced {
         let poles = closed_loop.eigenvalues();
         Ok(Candidate { x, residual, closed_loop, poles })
     }
-
-    /// The balanced Hamiltonian matrix, `2n × 2n`.
-    pub(crate) fn hamiltonian(&self) -> DMatrix<f64> {
-        let n = self.a.nrows();
-        let mut h = DMatrix::zeros(2 * n, 2 * n);
-        h.view_mut((0, 0), (n, n)).copy_from(&self.a);
-        h.view_mut((0, n), (n, n)).copy_from(&-&self.g);
-        h.view_mut((n, 0), (n, n)).copy_from(&-&self.q);
-        h.view_mut((n, n), (n, n)).copy_from(&-self.a.transpose());
-        h
-    }
-
-    fn stable_subspace(self) -> Result<StableSubspace, Error> {
-        let n = self.a.nrows();
-        let schur = RealSchur::new(&self.hamiltonian())?;
-        let values = schur.eigenvalues();
-        let axis = |values: &[Complex64]| {
-            let nearest = values.iter().min_by(|a, b| a.re.abs().total_cmp(&b.re.abs()));
-            let (re, omega_rad_s) = nearest.map_or((0.0, 0.0), |v| (v.re.abs(), v.im.abs()));
-            Error::HamiltonianAxis { re, omega_rad_s }
-        };
-        if values.iter().filter(|v| v.re < 0.0).count() != n {
-            return Err(axis(&values));
-        }
-        let ordered = schur.order(|v| v.re < 0.0)?;
-        if ordered.n_selected != n {
-            return Err(axis(&values));
-        }
-        let form = ordered.form;
-        let x1 = form.q.view((0, 0), (n, n)).into_owned();
-        let x2 = form.q.view((n, 0), (n, n)).into_owned();
-        let product = x1.transpose() * &x2;
-        let isotropy_error = (&product - product.transpose()).norm();
-        if isotropy_error > ISOTROPY_TOLERANCE {
-            return Err(axis(&values));
-        }
-        let mut poles = form.eigenvalues();
-        poles.truncate(n);
-        let restriction = form.t.view((0, 0), (n, n)).into_owned();
-        Ok(StableSubspace { x1, x2, scaling: self.scaling, restriction, poles, isotropy_error })
-    }
 }
-
-/// Angle of the combination in [`StableSubspace::angles`]: not a rational part of pi, tangent not near a power of two.
-const MIX: f64 = 0.9;
-
-/// Below this ratio of singular values a basis half has no meaningful inverse.
-const RECIPROCAL_CONDITION_MIN: f64 = 1e-15;
 
 /// Newton converges quadratically from a subspace solution; more steps only shuffle rounding.
 const NEWTON_STEPS_MAX: usize = 6;
 
-/// Sweeps allowed; balancing may stop at any of them without harm.
-const BALANCING_SWEEPS_MAX: usize = 64;
-
-/// Largest exponent of one scaling step.
-const FACTOR_EXPONENT_MAX: usize = 64;
-
-/// Largest exponent of a state's scaling; beyond it entries are rounding of zeros.
-const SCALING_EXPONENT_MAX: f64 = 100.0;
-
-/// A scaling step that gains less than five per cent is not taken (LAPACK's `GEBAL` uses the same figure).
-const WORTHWHILE: f64 = 0.95;
-
-/// A pair of axis eigenvalues that rounding has split makes this of order one; sound subspaces stay below 1e-7 even with
-/// eigenvalues within 1e-9 of the matrix norm from the axis.
-const ISOTROPY_TOLERANCE: f64 = 1e-5;
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::DVector;
     use rand::{RngExt, SeedableRng};
 
     #[test]
