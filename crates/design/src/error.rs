@@ -588,6 +588,35 @@ pub enum Error {
         reason: telepulse_lti::Error,
     },
 
+    // ---- uncertain ----
+    /// A perturbation needs at least one block.
+    #[error("an uncertainty structure must have at least one block, found none")]
+    NoUncertainBlocks,
+    /// A block of the perturbation has no ports.
+    #[error("uncertainty block {index} must have at least one row and one column, found {rows} x {cols}")]
+    EmptyBlock {
+        /// Number of the block, from zero.
+        index: usize,
+        /// Rows found.
+        rows: usize,
+        /// Columns found.
+        cols: usize,
+    },
+    /// The value of a block is not of the kind or size of the block.
+    #[error(
+        "the value of uncertainty block {index} does not fit the block, or there are too few or too many values"
+    )]
+    BlockMismatch {
+        /// Number of the block, from zero.
+        index: usize,
+    },
+    /// Rounding spoils every proof of an upper bound of the structured singular value.
+    #[error("the upper bound {level:e} of the structured singular value cannot be proven within rounding")]
+    MuNotProven {
+        /// The last level tried.
+        level: f64,
+    },
+
     // ---- verify ----
     /// The closed loop is not stable, so it has no certificate.
     #[error("closed loop must be stable, found poles at {} rad/s", list(poles))]

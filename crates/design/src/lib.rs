@@ -4,6 +4,7 @@
 //!
 //! - [`identify`]: plan a stepped-sine sweep, extract its lines, fit a model, bound its error;
 //! - [`synthesize`]: find the controller with the least weighted closed-loop norm;
+//! - [`uncertain`]: structured uncertainty around a plant, the structured singular value and what follows from it;
 //! - [`verify`]: certify a loop against every plant inside the bound;
 //! - [`implement`]: turn a controller into what a real-time loop runs.
 //!
@@ -14,6 +15,7 @@ mod error;
 pub mod identify;
 pub mod implement;
 pub mod synthesize;
+pub mod uncertain;
 pub mod verify;
 
 pub use error::Error;

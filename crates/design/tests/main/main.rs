@@ -6,6 +6,7 @@ mod family;
 mod identification;
 mod implementation;
 mod loop_synthesis;
+mod mu_matrix;
 mod printed;
 mod synthesis;
 mod verification;
