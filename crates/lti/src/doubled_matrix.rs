@@ -7,9 +7,9 @@ use crate::vectorized::{self, Kernel};
 
 /// An unevaluated sum `high + low` of two matrices, `low` below the last bit of `high`.
 #[derive(Clone, Debug)]
-pub(crate) struct DoubledMatrix {
-    high: DMatrix<f64>,
-    low: DMatrix<f64>,
+pub struct DoubledMatrix {
+    pub(crate) high: DMatrix<f64>,
+    pub(crate) low: DMatrix<f64>,
 }
 
 impl From<&DMatrix<f64>> for DoubledMatrix {
@@ -19,8 +19,15 @@ impl From<&DMatrix<f64>> for DoubledMatrix {
 }
 
 impl DoubledMatrix {
+    /// Rows and columns.
+    #[must_use]
+    pub fn shape(&self) -> (usize, usize) {
+        self.high.shape()
+    }
+
     /// `self * other`.
-    pub(crate) fn times(&self, other: &Self) -> Self {
+    #[must_use]
+    pub fn times(&self, other: &Self) -> Self {
         let (rows, inner) = self.high.shape();
         let cols = other.high.ncols();
         let mut product = Self { high: DMatrix::zeros(rows, cols), low: DMatrix::zeros(rows, cols) };
@@ -31,7 +38,8 @@ impl DoubledMatrix {
     }
 
     /// `self + other`.
-    pub(crate) fn plus(mut self, other: &Self) -> Self {
+    #[must_use]
+    pub fn plus(mut self, other: &Self) -> Self {
         let parts = self.high.iter_mut().zip(self.low.iter_mut());
         for ((high, low), (h, l)) in parts.zip(other.high.iter().zip(other.low.iter())) {
             let (sum, error) = two_sum(*high, *h);
@@ -41,22 +49,27 @@ impl DoubledMatrix {
     }
 
     /// `self - other`.
-    pub(crate) fn minus(self, other: &Self) -> Self {
+    #[must_use]
+    pub fn minus(self, other: &Self) -> Self {
         self.plus(&Self { high: -&other.high, low: -&other.low })
     }
 
-    pub(crate) fn transpose(&self) -> Self {
+    /// `selfᵀ`.
+    #[must_use]
+    pub fn transpose(&self) -> Self {
         Self { high: self.high.transpose(), low: self.low.transpose() }
     }
 
     /// `self + selfᵀ`.
-    pub(crate) fn plus_transpose(self) -> Self {
+    #[must_use]
+    pub fn plus_transpose(self) -> Self {
         let transpose = self.transpose();
         self.plus(&transpose)
     }
 
     /// Rounded to working precision.
-    pub(crate) fn rounded(&self) -> DMatrix<f64> {
+    #[must_use]
+    pub fn rounded(&self) -> DMatrix<f64> {
         &self.high + &self.low
     }
 }

@@ -10,6 +10,7 @@ use telepulse_lti::riccati::StableSubspace;
 use telepulse_lti::{Continuous, StateSpace};
 
 use super::normalized_plant::NormalizedPlant;
+use super::refined_controller::refined_controller;
 use crate::Error;
 
 /// A condition that a gamma must satisfy; the one that fails first is the one that binds.
@@ -136,6 +137,12 @@ impl Feasible {
         let ak = &self.x.restriction - &bk * &seen;
         let ck = f2 - &dhat * &seen;
         Ok(StateSpace::<Continuous>::new(ak, bk, ck, dhat)?.balanced())
+    }
+
+    /// Returns the same controller by way of [`refined_controller`]; `None` where `X` or `Y` is infinite or cannot be refined.
+    pub(super) fn refined(&self, plant: &NormalizedPlant) -> Option<StateSpace<Continuous>> {
+        let (x, y) = (self.x.solution().ok()?, self.y.solution().ok()?);
+        refined_controller(plant, self.gamma, &x, &y)
     }
 
     /// Larger isotropy error of the two subspaces, a measure of their rounding.

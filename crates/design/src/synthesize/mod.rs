@@ -18,6 +18,7 @@ mod ncfsyn;
 mod normalized_plant;
 pub mod pid;
 mod pointwise_bound;
+mod refined_controller;
 mod regularize;
 mod weight_shape;
 

@@ -36,7 +36,7 @@ pub(super) fn regularized_design(
         GeneralizedPlant::new(plant.sys().balanced(), plant.n_w(), plant.n_u(), plant.n_z(), plant.n_y())?;
     let sizes = Sizes::of(&balanced);
     let mut best: Option<HinfDesign> = None;
-    let mut last = reason;
+    let mut last = reason.clone();
     let mut n_idle = 0;
     for step in 0..EPSILONS_MAX {
         let epsilon = EPSILON_FIRST * 0.1_f64.powi(step);
@@ -64,7 +64,7 @@ pub(super) fn regularized_design(
             break;
         }
     }
-    best.ok_or(last)
+    best.ok_or(if matches!(reason, Error::Infeasible { .. }) { reason } else { last })
 }
 
 /// Designs for one `epsilon`, adding repairs until the enlarged plant is regular.
@@ -260,4 +260,4 @@ const STEPS_WITHOUT_ANSWER: i32 = 2;
 /// Kinds of repair.
 const REPAIRS: usize = 4;
 /// Singular values of a direct term, relative to the largest, below which a direction counts as missed.
-const MISSED: f64 = 1e-6;
+const MISSED: f64 = EPSILON_FIRST;
