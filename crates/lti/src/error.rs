@@ -414,6 +414,12 @@ pub enum Error {
         /// The pole at fault.
         pole: Complex64,
     },
+    /// The H2 norm of a continuous system with a direct term is infinite.
+    #[error("the H2 norm of a continuous system is infinite unless D is zero, found a D of norm {norm}")]
+    DirectTerm {
+        /// Frobenius norm of `D`.
+        norm: f64,
+    },
     /// The question makes sense for stable systems only.
     #[error("expected a stable system, found a pole at {pole}")]
     Unstable {

@@ -24,6 +24,7 @@ pub mod interconnect;
 mod isolation;
 pub mod lyapunov;
 pub mod margins;
+pub mod norms;
 pub mod polynomial;
 pub mod realization;
 pub mod reduce;

@@ -4,7 +4,8 @@
 //! - [`hankel_approximation`]: the least Hankel norm of the error; [`reduce_weighted`]: an error that is small where it counts;
 //! - [`minimal_realization`]: without what no port sees, stable or not;
 //! - [`split_stable`], [`block_diagonalize`]: additive decompositions;
-//! - [`controllability_factor`], [`observability_factor`]: square roots of the Gramians.
+//! - [`controllability_factor`], [`observability_factor`]: square roots of the Gramians;
+//! - [`hankel_singular_values`]: how much each state counts.
 
 mod balancing;
 mod gramian_factor;
@@ -24,5 +25,5 @@ pub use hankel_approximation::{HankelApproximation, hankel_approximation};
 pub use minimal::{MinimalRealization, minimal_realization};
 pub use order::{OrderRule, distinct_tail};
 pub use split::{BlockDiagonal, StableSplit, block_diagonalize, split_stable};
-pub use truncation::{ReduceOptions, Reduction, Removal, reduce};
+pub use truncation::{ReduceOptions, Reduction, Removal, hankel_singular_values, reduce};
 pub use weighted::{WeightedReduction, Weights, reduce_weighted};

@@ -118,6 +118,25 @@ pub fn reduce<D: TimeDomain>(sys: &StateSpace<D>, options: &ReduceOptions) -> Re
     })
 }
 
+/// The Hankel singular values of a stable system, descending.
+///
+/// **Method**: as in [`reduce()`], without forming a Gramian.
+///
+/// **Accuracy**: to rounding of the largest.
+///
+/// **Errors**: [`Error::Unstable`], [`Error::EigenvaluesNotConverged`].
+///
+/// **Example**
+/// ```
+/// use telepulse_lti::{TransferFunction, reduce::hankel_singular_values};
+/// let lag = TransferFunction::new(&[1.0], &[1.0, 1.0])?.to_state_space();
+/// assert!((hankel_singular_values(&lag)?[0] - 0.5).abs() < 1e-15);
+/// # Ok::<(), telepulse_lti::Error>(())
+/// ```
+pub fn hankel_singular_values<D: TimeDomain>(sys: &StateSpace<D>) -> Result<Vec<f64>, Error> {
+    Ok(Balancing::new(sys)?.values)
+}
+
 /// Leaves out or settles the states from `order` on.
 pub(super) fn remove<D: TimeDomain>(
     sys: &StateSpace<D>,

@@ -1,0 +1,3 @@
+//! Agreement with independent programs whose results are stored in `testdata/`.
+
+mod reduction;
