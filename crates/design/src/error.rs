@@ -232,6 +232,22 @@ pub enum Error {
         largest: f64,
     },
 
+    // ---- implement: controller order ----
+    /// No controller of lower order keeps the norm of the loop within its limit.
+    #[error(
+        "no controller below order {n_states} keeps the loop's norm at or below {limit}: the best found has order {best_order} and norm {best_norm}"
+    )]
+    ControllerNotReducible {
+        /// Order of the controller as given.
+        n_states: usize,
+        /// The limit.
+        limit: f64,
+        /// Order of the best controller found.
+        best_order: usize,
+        /// Norm of its loop; infinite where none was stable.
+        best_norm: f64,
+    },
+
     // ---- implement ----
     /// A file was written by a version of the format that is not known here.
     #[error("{what} has version {found}, allowed is {allowed}")]

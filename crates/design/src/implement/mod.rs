@@ -1,10 +1,12 @@
 //! From a controller to what runs.
 //!
 //! - [`realize_continuous`], [`realize_discrete`]: modes that a real-time loop advances one by one;
+//! - [`reduce_controller`]: fewer states, shown on the closed loop to be enough;
 //! - [`PidSettings`]: the other kind of law;
 //! - [`preview_feedforward`]: drive from a reference that is known ahead; [`StaticInverse`]: from a measured curve;
 //! - [`ControllerRecipe`]: all of it in one file, with the evidence that the law may run.
 
+mod controller_order;
 mod modal_delta;
 mod pid;
 mod preview;
@@ -12,6 +14,7 @@ mod realize;
 mod recipe;
 mod static_inverse;
 
+pub use controller_order::{ControllerRoute, OrderTried, ReducedController, reduce_controller};
 pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
 pub use pid::PidSettings;
 pub use preview::{

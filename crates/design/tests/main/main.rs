@@ -2,6 +2,7 @@
 
 #![allow(clippy::print_stdout)]
 
+mod controller_order;
 mod family;
 mod identification;
 mod implementation;
