@@ -71,6 +71,32 @@ fn law_a_synthesized_controller_stabilizes_by_the_plainest_arithmetic() {
 }
 
 #[test]
+fn law_a_sampled_plant_has_the_optimum_of_its_bilinear_image() {
+    // x' = x/3 + w1 + u, z = [x; u], y = x + w2 has the optimum g with 2g/3 - g² + 2 = 0; s = (z - 1)/(z + 1) keeps it.
+    let (b, d) = (1.5 * 2.0_f64.sqrt(), 1.5);
+    let plant = json!({
+        "A": [[2]], "B1": [[b, 0]], "B2": [[b]], "C1": [[b], [0]], "C2": [[b]],
+        "D11": [[d, 0], [0, 0]], "D12": [[d], [1]], "D21": [[d, 1]], "D22": [[d]], "dt": 2
+    });
+    let answer = solved("hinfsyn", &plant);
+    let optimum = 1.0 / 3.0 + (1.0_f64 / 9.0 + 2.0).sqrt();
+    let number = |key: &str| answer[key].as_f64().expect("a number");
+    assert!(
+        number("gamma_lower") <= optimum * (1.0 + 1e-9) && optimum <= number("gamma_upper") * (1.0 + 1e-9),
+        "{answer}"
+    );
+    assert!(number("achieved_norm") <= 1.01 * optimum && number("achieved_norm") >= optimum * (1.0 - 1e-9));
+    assert_eq!(answer["controller"]["dt"], 2.0);
+    // 1 - P22 K with P22 = 1.5 (z + 1)/(z - 2) and K = d + b c/(z - a), by Jury's conditions.
+    let k = |part: &str| answer["controller"][part][0][0].as_f64().expect("one state");
+    let (a, bc, d) = (k("A"), k("B") * k("C"), k("D"));
+    let p2 = 1.0 - 1.5 * d;
+    let p1 = -(2.0 + a) - 1.5 * (d - d * a + bc);
+    let p0 = 2.0 * a - 1.5 * (bc - d * a);
+    assert!((p0 / p2).abs() < 1.0 && (p1 / p2).abs() < 1.0 + p0 / p2, "{answer}");
+}
+
+#[test]
 fn law_sizes_are_learned_from_the_matrices() {
     let mut plant = unstable_plant();
     let fields = plant.as_object_mut().expect("an object");

@@ -4,9 +4,10 @@ use anyhow::Result;
 use nalgebra::DMatrix;
 use serde::Serialize;
 use telepulse_design::synthesize::{
-    Condition, HinfDesign, HinfOptions, Regularization, Repaired, SingularProblem, hinfsyn,
+    Condition, DiscreteHinfDesign, HinfDesign, HinfOptions, Regularization, Repaired, SingularProblem,
+    hinfsyn, hinfsyn_discrete,
 };
-use telepulse_lti::{Continuous, GeneralizedPlant, StateSpace};
+use telepulse_lti::{Continuous, Discrete, GeneralizedPlant, StateSpace, TimeDomain};
 
 use super::Answer;
 use super::answer::{Status, SystemAnswer, Watch, design_status, pairs};
@@ -57,13 +58,23 @@ const OPTIONS: [&str; 7] = [
 ];
 
 pub(super) fn solve(file: &ProblemFile) -> Result<HinfAnswer> {
-    let plant = plant(file)?;
     let options = options(file)?;
-    let watch = Watch::start();
-    let outcome = hinfsyn(&plant, &options);
+    let watch;
+    let outcome = match super::hinfnorm::sample_time(file)? {
+        None => {
+            let plant = plant(file, Continuous)?;
+            watch = Watch::start();
+            hinfsyn(&plant, &options).map(|design| HinfAnswer::solved(&design))
+        }
+        Some(sample_time) => {
+            let plant = plant(file, Discrete::new(sample_time))?;
+            watch = Watch::start();
+            hinfsyn_discrete(&plant, &options).map(|design| HinfAnswer::solved_discrete(&design))
+        }
+    };
     let seconds = watch.seconds();
     match outcome {
-        Ok(design) => Ok(HinfAnswer::solved(&design, seconds)),
+        Ok(answer) => Ok(HinfAnswer { seconds, ..answer }),
         Err(error) => match design_status(&error) {
             Some(status) => Ok(HinfAnswer::unsolved(status, error.to_string(), seconds)),
             None => Err(error.into()),
@@ -72,7 +83,7 @@ pub(super) fn solve(file: &ProblemFile) -> Result<HinfAnswer> {
 }
 
 impl HinfAnswer {
-    fn solved(design: &HinfDesign, seconds: f64) -> Self {
+    fn solved(design: &HinfDesign) -> Self {
         Self {
             status: Status::Ok,
             gamma_lower: Some(design.gamma_lower),
@@ -84,8 +95,27 @@ impl HinfAnswer {
             controller: Some((&design.controller).into()),
             binding_condition: design.binding_condition,
             message: message(design),
-            regularization: design.regularization.as_ref().map(|r| RegularizationAnswer::new(r, design)),
-            seconds,
+            regularization: regularization(design, design.achieved.value),
+            seconds: 0.0,
+        }
+    }
+
+    fn solved_discrete(design: &DiscreteHinfDesign) -> Self {
+        let mut message = message(&design.continuous);
+        if design.radius < 1.0 {
+            message.push_str(&format!("; the optimum is that of the circle of radius {}", design.radius));
+        }
+        Self {
+            gamma_lower: Some(design.gamma_lower),
+            gamma_upper: Some(design.gamma_upper),
+            gamma_design: Some(design.gamma_design),
+            achieved_norm: Some(design.achieved.value),
+            closed_loop_poles: pairs(&design.closed_loop_poles),
+            controller: Some((&design.controller).into()),
+            binding_condition: design.binding_condition,
+            regularization: regularization(&design.continuous, design.achieved.value),
+            message,
+            ..Self::solved(&design.continuous)
         }
     }
 
@@ -107,17 +137,16 @@ impl HinfAnswer {
     }
 }
 
+fn regularization(design: &HinfDesign, norm_on_original_plant: f64) -> Option<RegularizationAnswer> {
+    design.regularization.as_ref().map(|r| RegularizationAnswer::new(r, norm_on_original_plant))
+}
+
 impl RegularizationAnswer {
-    fn new(r: &Regularization, design: &HinfDesign) -> Self {
+    fn new(r: &Regularization, norm_on_original_plant: f64) -> Self {
         let parts = [("d12", r.d12), ("d21", r.d21), ("axis_zeros", r.axis_zeros)];
         let repaired =
             parts.into_iter().filter(|(_, part)| *part == Repaired::Yes).map(|(name, _)| name).collect();
-        Self {
-            epsilon: r.epsilon,
-            repaired,
-            gamma_enlarged: r.gamma_enlarged,
-            norm_on_original_plant: design.achieved.value,
-        }
+        Self { epsilon: r.epsilon, repaired, gamma_enlarged: r.gamma_enlarged, norm_on_original_plant }
     }
 }
 
@@ -142,7 +171,7 @@ fn message(design: &HinfDesign) -> String {
 }
 
 /// The plant's nine matrices; sizes from `n`, `nw`, `nu`, `nz`, `ny` where they are given, else from the matrices.
-fn plant(file: &ProblemFile) -> Result<GeneralizedPlant> {
+fn plant<T: TimeDomain>(file: &ProblemFile, domain: T) -> Result<GeneralizedPlant<T>> {
     let sizes = Sizes::read(file)?;
     let Sizes { n, nw, nu, nz, ny } = sizes;
     let (a, b1, b2) = (file.matrix("A", n, n)?, file.matrix("B1", n, nw)?, file.matrix("B2", n, nu)?);
@@ -161,7 +190,7 @@ fn plant(file: &ProblemFile) -> Result<GeneralizedPlant> {
     let b = beside(&b1, &b2);
     let c = stack(&c1, &c2);
     let d = stack(&beside(&d11, &d12), &beside(&d21, &d22));
-    let sys = StateSpace::<Continuous>::new(a, b, c, d)?;
+    let sys = StateSpace::with_domain(a, b, c, d, domain)?;
     Ok(GeneralizedPlant::new(sys, b1.ncols(), b2.ncols(), c1.nrows(), c2.nrows())?)
 }
 
