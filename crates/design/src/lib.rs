@@ -22,3 +22,8 @@ pub use error::Error;
 
 /// Result of every stage.
 pub type Result<T> = std::result::Result<T, Error>;
+
+/// The examples of the manual, compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/manual/robust.md")]
+struct RobustManual;

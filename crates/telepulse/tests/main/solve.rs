@@ -168,8 +168,96 @@ fn law_matrix_equations_of_one_unknown() {
     assert!((x(&solved("care", &care)) - (5.0_f64.sqrt() - 2.0)).abs() < 1e-14);
     let lyap = json!({"A": [[-2]], "Q": [[1]]});
     assert!((x(&solved("lyap", &lyap)) - 0.25).abs() < 1e-15);
+    // A Sylvester equation 2 x + 3 x - 10 = 0, and x = 4 x/(1 + x) + 1 as a discrete Riccati equation with a = 2, q = 1:
+    // x = 4 x - 4 x²/(1 + x) + 1, so x² - 4 x - 1 = 0.
+    let sylvester = json!({"A": [[2]], "B": [[3]], "C": [[-10]]});
+    assert!((x(&solved("lyap", &sylvester)) - 2.0).abs() < 1e-14);
+    let dare = json!({"A": [[2]], "B": [[1]], "Q": [[1]], "R": [[1]], "dt": 1});
+    let answer = solved("care", &dare);
+    assert!((x(&answer) - (2.0 + 5.0_f64.sqrt())).abs() < 1e-13, "{answer}");
+    assert!(
+        answer["residual_relative"].as_f64().expect("a number") < 1e-14 && answer["condition"].is_number()
+    );
     let stein = json!({"A": [[0.5]], "Q": [[3]], "dt": 1});
     assert!((x(&solved("lyap", &stein)) - 4.0).abs() < 1e-14);
+}
+
+#[test]
+fn law_bounds_of_mu_enclose_what_can_be_solved_by_hand() {
+    let number = |answer: &Value, key: &str| answer[key].as_f64().expect("a number");
+    // Two scalar blocks around [0 a; b 0]: the geometric mean. One full block: the largest singular value. A repeated scalar:
+    // the spectral radius.
+    for (blocks, exact) in [
+        (json!([[1, 1], [1, 1]]), 2.0),
+        (json!([[2, 2]]), 4.0),
+        (json!([[2, 0]]), 2.0),
+        (json!([[-2, 0]]), 2.0),
+    ] {
+        let answer = solved("mu", &json!({"M": [[0, 4], [1, 0]], "blocks": blocks}));
+        let (lower, upper) = (number(&answer, "lower"), number(&answer, "upper"));
+        assert!(lower <= exact * (1.0 + 1e-6) && exact <= upper * (1.0 + 1e-9), "{blocks}: {answer}");
+        assert!(upper / lower < 1.0 + 1e-6, "{blocks}: {answer}");
+    }
+    // A real parameter cannot cancel an imaginary gain.
+    let rotated = json!({"M": [[0]], "M_imaginary": [[3]], "blocks": [[-1, 0]]});
+    assert!(number(&solved("mu", &rotated), "upper") < 1e-6);
+    refused("mu", "{\"M\": [[1, 2]], \"blocks\": [[2, 2]]}", &["`M`", "2 x 2", "1 x 2"]);
+    refused("mu", "{\"M\": [[1]], \"blocks\": [[0, 1]]}", &["`blocks`", "block 0"]);
+}
+
+#[test]
+fn law_a_reduced_system_keeps_its_bound() {
+    // 1/(s + 1) + 1/(s + 100): the fast mode has the Hankel singular value near 1/200.
+    let sys = json!({"A": [[-1, 0], [0, -100]], "B": [[1], [1]], "C": [[1, 1]], "D": [[0]]});
+    for method in ["truncate", "residualize", "hankel"] {
+        let mut file = sys.clone();
+        file["options"] = json!({"method": method, "order": 1});
+        let answer = solved("reduce", &file);
+        let number = |key: &str| answer[key].as_f64().expect("a number");
+        assert_eq!(answer["order"], 1);
+        assert!(
+            number("error") <= number("error_bound") * (1.0 + 1e-9) && number("error") > 1e-4,
+            "{answer}"
+        );
+        // The error at rest of what is left: 1.01 minus its gain.
+        let part = |key: &str| answer["system"][key][0][0].as_f64().expect("one state");
+        let at_rest = part("D") - part("C") * part("B") / part("A");
+        assert!((at_rest - 1.01).abs() <= number("error") * (1.0 + 1e-9), "{method}: {answer}");
+    }
+    // (s - 1)/((s - 1)(s + 2)) without the common factor, unstable as it is.
+    let cancelled = json!({"A": [[0, 1], [2, -1]], "B": [[0], [1]], "C": [[-1, 1]], "D": [[0]],
+        "options": {"method": "minimal"}});
+    assert_eq!(solved("reduce", &cancelled)["order"], 1);
+    let mut file = sys.clone();
+    file["options"] = json!({"order": 7});
+    refused("reduce", &file.to_string(), &["7"]);
+    file["options"] = json!({"order": 1, "error_max": 0.1});
+    refused("reduce", &file.to_string(), &["`order`", "several"]);
+}
+
+#[test]
+fn law_pid_settings_keep_their_limits_by_a_grid_of_its_own() {
+    let plant =
+        json!({"numerator": [1], "denominator": [1, 3, 3, 1], "options": {"ms_max": 2.0, "mt_max": 2.0}});
+    let answer = solved("pid", &plant);
+    let gain = |key: &str| answer["settings"][key].as_f64().expect("a number");
+    let (p, i) = (gain("p"), gain("i_per_s"));
+    // |1 + G C|² by real arithmetic: (1 + j w)³ and C = p - j i / w.
+    for k in 0..2000 {
+        let w = 10f64.powf(-3.0 + f64::from(k) * 0.003);
+        let (re, im) = (1.0 - 3.0 * w * w, 3.0 * w - w.powi(3));
+        let (sum_re, sum_im) = (re + p, im - i / w);
+        let s = (re * re + im * im).sqrt() / (sum_re * sum_re + sum_im * sum_im).sqrt();
+        assert!(s <= 2.0 * (1.0 + 1e-9), "{w}: {s}");
+    }
+    assert!((i - 0.685).abs() < 2e-3, "{answer}");
+    let simc =
+        json!({"numerator": [1], "denominator": [1, 1], "delay_s": 0.5, "options": {"method": "simc"}});
+    // First order plus delay, tight: k = tau / (2 theta), Ti = min(tau, 8 theta).
+    let answer = solved("pid", &simc);
+    assert!((answer["settings"]["p"].as_f64().expect("a number") - 1.0).abs() < 1e-12, "{answer}");
+    assert!((answer["settings"]["i_per_s"].as_f64().expect("a number") - 1.0).abs() < 1e-12, "{answer}");
+    refused("pid", "{\"numerator\": [1, 0, 0], \"denominator\": [1, 1]}", &["`denominator`"]);
 }
 
 #[test]

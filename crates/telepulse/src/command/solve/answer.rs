@@ -56,7 +56,16 @@ pub(super) fn design_status(error: &DesignError) -> Option<Status> {
         DesignError::Infeasible { .. }
         | DesignError::ControllerTooFast { .. }
         | DesignError::ControllerGainTooHigh { .. } => Status::Infeasible,
-        DesignError::NotConverged { .. } => Status::NotConverged,
+        DesignError::NotConverged { .. } | DesignError::MuNotProven { .. } => Status::NotConverged,
+        DesignError::PidNotStabilized { .. } => Status::NotStabilizable,
+        DesignError::PidLimitsNotMet { .. }
+        | DesignError::PidLimitImpossible { .. }
+        | DesignError::PidGainUnbounded { .. }
+        | DesignError::PidPlantZeroAtOrigin
+        | DesignError::PidHalfRule { .. }
+        | DesignError::PidLoopNeutral { .. }
+        | DesignError::PidLoopUnstable { .. } => Status::Infeasible,
+        DesignError::PidStabilityUncertain { .. } => Status::IllConditioned,
         DesignError::IllConditioned { .. } => Status::IllConditioned,
         DesignError::UnstableLoop { .. } | DesignError::UnstableElement { .. } => Status::Unstable,
         _ => return None,
@@ -68,14 +77,19 @@ pub(super) fn system_status(error: &SystemError) -> Option<Status> {
     Some(match error {
         SystemError::Unstable { .. } => Status::Unstable,
         SystemError::HamiltonianAxis { .. } => Status::Infeasible,
+        SystemError::NotStabilizable { .. } => Status::NotStabilizable,
         SystemError::LyapunovSingular { .. }
+        | SystemError::SylvesterSingular { .. }
+        | SystemError::HankelGap { .. }
         | SystemError::Singular { .. }
         | SystemError::AlgebraicLoop { .. }
         | SystemError::RankDeficientSystem => Status::Singular,
-        SystemError::EigenvaluesNotConverged { .. } | SystemError::PeakNotBounded { .. } => {
-            Status::NotConverged
-        }
+        SystemError::EigenvaluesNotConverged { .. }
+        | SystemError::RiccatiNotConverged { .. }
+        | SystemError::PeakNotBounded { .. } => Status::NotConverged,
         SystemError::NoStabilizingSolution { .. }
+        | SystemError::RiccatiIllConditioned { .. }
+        | SystemError::ReducedUnstable { .. }
         | SystemError::SwapFailed { .. }
         | SystemError::BilinearPole { .. }
         | SystemError::Overflow { .. } => Status::IllConditioned,

@@ -133,14 +133,23 @@ impl ProblemFile {
         }
     }
 
-    /// The settings under `options`, of which only the named ones are known.
+    /// The settings under `options`, of which only the named ones are known; none where the key is absent.
     pub(super) fn options(&self, known: &[&str]) -> Result<Self> {
-        let name = format!("{}, options", self.name);
-        let Some(value) = self.field("options") else {
-            return Ok(Self { name, fields: Map::new(), asked: RefCell::default() });
-        };
+        match self.part("options", known)? {
+            Some(options) => Ok(options),
+            None => {
+                let name = format!("{}, options", self.name);
+                Ok(Self { name, fields: Map::new(), asked: RefCell::default() })
+            }
+        }
+    }
+
+    /// An object inside of the file, of which only the named keys are known.
+    pub(super) fn part(&self, key: &str, known: &[&str]) -> Result<Option<Self>> {
+        let name = format!("{}, {key}", self.name);
+        let Some(value) = self.field(key) else { return Ok(None) };
         let Value::Object(fields) = value else {
-            return Err(self.complaint("options", &format!("expected an object, found {}", kind(value))));
+            return Err(self.complaint(key, &format!("expected an object, found {}", kind(value))));
         };
         for key in fields.keys() {
             ensure!(
@@ -149,7 +158,7 @@ impl ProblemFile {
                 known.join(", ")
             );
         }
-        Ok(Self { name, fields: fields.clone(), asked: RefCell::default() })
+        Ok(Some(Self { name, fields: fields.clone(), asked: RefCell::default() }))
     }
 
     /// A matrix that must be there.

@@ -8,6 +8,9 @@ mod hinfnorm;
 mod hinfsyn;
 mod input;
 mod matrix_equations;
+mod mu;
+mod pid;
+mod reduce;
 
 use std::path::PathBuf;
 
@@ -37,6 +40,12 @@ enum Problem {
     Care,
     /// Lyapunov equation A, Q, or Sylvester equation A, B, C; discrete with dt.
     Lyap,
+    /// Bounds of the structured singular value of M, M_imaginary for blocks.
+    Mu,
+    /// A system A, B, C, D with fewer states; discrete with dt.
+    Reduce,
+    /// PID controller for the plant numerator, denominator, delay_s.
+    Pid,
 }
 
 pub(super) fn run(typed: &SolveArguments, json: bool) -> Result<Verdict> {
@@ -46,6 +55,9 @@ pub(super) fn run(typed: &SolveArguments, json: bool) -> Result<Verdict> {
         Problem::Hinfnorm => finish(json, &file, hinfnorm::solve(&file)?),
         Problem::Care => finish(json, &file, matrix_equations::riccati(&file)?),
         Problem::Lyap => finish(json, &file, matrix_equations::lyapunov(&file)?),
+        Problem::Mu => finish(json, &file, mu::solve(&file)?),
+        Problem::Reduce => finish(json, &file, reduce::solve(&file)?),
+        Problem::Pid => finish(json, &file, pid::solve(&file)?),
     }
 }
 
