@@ -127,7 +127,7 @@ pub(crate) fn solve_with(
     kind: Kind,
 ) -> Result<DMatrix<f64>, SmallPivot> {
     let (u, t) = (&schur.q, &schur.t);
-    let mut y = -(u.tr_mul(f) * u);
+    let mut y = -(u.transpose() * f * u);
     triangular_equation::solve(t, t, &mut y, kind, Symmetry::Symmetric)?;
     Ok(symmetric(&(u * y * u.transpose())))
 }
@@ -139,7 +139,7 @@ pub(crate) fn solve_adjoint_with(
     kind: Kind,
 ) -> Result<DMatrix<f64>, SmallPivot> {
     let (u, t) = (&schur.q, &schur.t);
-    let y = triangular_equation::solve_adjoint(t, t, &-(u.tr_mul(f) * u), kind, Symmetry::Symmetric)?;
+    let y = triangular_equation::solve_adjoint(t, t, &-(u.transpose() * f * u), kind, Symmetry::Symmetric)?;
     Ok(symmetric(&(u * y * u.transpose())))
 }
 

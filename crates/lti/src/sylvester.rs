@@ -91,7 +91,7 @@ fn solve(a: &DMatrix<f64>, b: &DMatrix<f64>, c: &DMatrix<f64>, kind: Kind) -> Re
     let c = DMatrix::from_fn(m, n, |i, j| c[(i, j)] / d[i] / e[j]);
     let (left, right) = (RealSchur::new(&a)?, RealSchur::new(&bt)?);
     let back = |c: &DMatrix<f64>| {
-        let mut y = -(left.q.tr_mul(c) * &right.q);
+        let mut y = -(left.q.transpose() * c * &right.q);
         triangular_equation::solve(&left.t, &right.t, &mut y, kind, Symmetry::General)
             .map_err(|small| singular(kind, small))?;
         Ok::<_, Error>(&left.q * y * right.q.transpose())

@@ -3,3 +3,4 @@
 
 mod oracle;
 mod paper;
+mod solutions;
