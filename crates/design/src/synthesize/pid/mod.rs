@@ -11,7 +11,9 @@ mod integral_gain;
 mod integral_gain_tests;
 mod lag_model;
 mod loop_check;
+mod loop_samples;
 mod peaks;
+mod phase_margin;
 mod plant;
 mod rules;
 mod stability;
@@ -22,6 +24,7 @@ pub use half_rule::RuleModel;
 pub use integral_gain::{PidDesign, PidLimit, PidLimits, PidStructure, maximize_integral_gain};
 pub use lag_model::{CriticalPoint, LagModel};
 pub use loop_check::{PidLoopCheck, check_pid_loop};
+pub use phase_margin::{DesignFocus, MarginDesign, MarginTarget, MarginTerms, tune_phase_margin};
 pub use plant::DelayedPlant;
 pub use rules::{
     RuleTerms, SimcDesign, SimcOptions, amigo, lambda_tuning, simc, tune_simc, tyreus_luyben, ziegler_nichols,
