@@ -42,6 +42,27 @@ pub enum Error {
         /// The value found.
         value: f64,
     },
+    // ---- relay experiment ----
+    /// Bias and steps of a relay experiment leave the range of commands.
+    #[error("relay commands {low} to {high} leave the range {command_min} to {command_max}")]
+    RelayRange {
+        /// Bias less the step down.
+        low: f64,
+        /// Bias plus the step up.
+        high: f64,
+        /// Lowest command allowed.
+        command_min: f64,
+        /// Highest command allowed.
+        command_max: f64,
+    },
+    /// A number of relay cycles that cannot agree or be kept.
+    #[error("relay cycles that have to agree must be 2 to {capacity}, found {found}")]
+    RelayCycles {
+        /// Cycles asked for.
+        found: usize,
+        /// Cycles that are kept.
+        capacity: usize,
+    },
 }
 
 pub(crate) fn finite(name: &'static str, value: f64) -> Result<f64, Error> {

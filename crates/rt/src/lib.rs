@@ -19,6 +19,7 @@ mod filter;
 mod limits;
 mod linearisation;
 mod pid;
+mod relay;
 mod supervisor;
 #[cfg(test)]
 mod test_random;
@@ -35,5 +36,9 @@ pub use filter::{EQ26_CUTOFF_RAD_S, LowPass};
 pub use limits::{DriveVoltage, Limited, Limits, LimitsError};
 pub use linearisation::InputLinearisation;
 pub use pid::{Pid, PidAntiWindup, PidGains};
+pub use relay::{
+    RELAY_CYCLES_MAX, RELAY_SAMPLES_MIN, Relay, RelayAction, RelayCycle, RelayEstimate, RelaySettings,
+    RelayStatus, RelayStop,
+};
 pub use supervisor::{Armed, Disarmed, Running, Supervisor, SupervisorSettings, Tripped};
 pub use trip::{Signal, TripReason};
