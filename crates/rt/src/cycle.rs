@@ -2,8 +2,8 @@
 
 use crate::error::{Error, finite, positive};
 use crate::{
-    Drive, DriveVoltage, InputLinearisation, Limits, LowPass, ModalDeltaController, MonotonicNs, Pid, Sensor,
-    SensorFault, Signal, TripReason,
+    Drive, DriveVoltage, InputLinearisation, Limits, LowPass, ModalDeltaController, MonotonicNs, Pid,
+    PidInput, Sensor, SensorFault, Signal, TripReason,
 };
 
 /// From a sensor's reading to the controlled variable: `gain * reading + offset`.
@@ -209,13 +209,14 @@ impl ControlLoop {
         let filtered = settings.measurement_filter.map_or(measured, |f| f.output(measured));
         let reference = settings.reference_filter.map_or(inputs.reference, |f| f.output(inputs.reference));
         let error = reference - filtered;
-        let law_error = match settings.error_sign {
-            ErrorSign::Positive => error,
-            ErrorSign::Negative => -error,
+        let (law_error, law_reference) = match settings.error_sign {
+            ErrorSign::Positive => (error, reference),
+            ErrorSign::Negative => (-error, -reference),
         };
+        let pid_input = PidInput { error: law_error, reference: law_reference };
         let feedback = match &settings.law {
             ControlLaw::ModalDelta(controller) => controller.output(law_error),
-            ControlLaw::Pid(pid) => pid.output(law_error),
+            ControlLaw::Pid(pid) => pid.output(pid_input),
             ControlLaw::OpenLoop => 0.0,
         };
         let command = feedback + inputs.feedforward + settings.trim;
@@ -229,7 +230,7 @@ impl ControlLoop {
         } else {
             0.0
         };
-        Decision { filtered, error, law_error, command, voltage: limited.voltage, saturated, excess }
+        Decision { filtered, error, pid_input, command, voltage: limited.voltage, saturated, excess }
     }
 
     fn advance(&mut self, measured: f64, inputs: CycleInputs, decision: &Decision) {
@@ -241,11 +242,11 @@ impl ControlLoop {
         }
         match &mut self.settings.law {
             ControlLaw::ModalDelta(controller) => {
-                let outward = decision.excess * decision.law_error < 0.0;
+                let outward = decision.excess * decision.pid_input.error < 0.0;
                 let hold = self.settings.anti_windup == AntiWindup::HoldOutward && outward;
-                controller.advance(if hold { 0.0 } else { decision.law_error });
+                controller.advance(if hold { 0.0 } else { decision.pid_input.error });
             }
-            ControlLaw::Pid(pid) => pid.advance(decision.law_error, decision.excess),
+            ControlLaw::Pid(pid) => pid.advance(decision.pid_input, decision.excess),
             ControlLaw::OpenLoop => {}
         }
         self.previous = decision.voltage;
@@ -308,7 +309,8 @@ fn run<R: Sensor + Drive>(
 struct Decision {
     filtered: f64,
     error: f64,
-    law_error: f64,
+    /// Error and reference as the law sees them.
+    pid_input: PidInput,
     command: f64,
     voltage: DriveVoltage,
     saturated: bool,

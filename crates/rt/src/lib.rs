@@ -35,7 +35,7 @@ pub use error::Error;
 pub use filter::{EQ26_CUTOFF_RAD_S, LowPass};
 pub use limits::{DriveVoltage, Limited, Limits, LimitsError};
 pub use linearisation::InputLinearisation;
-pub use pid::{Pid, PidAntiWindup, PidGains};
+pub use pid::{Pid, PidAntiWindup, PidGains, PidInput, SetpointWeights};
 pub use relay::{
     RELAY_CYCLES_MAX, RELAY_SAMPLES_MIN, Relay, RelayAction, RelayCycle, RelayEstimate, RelaySettings,
     RelayStatus, RelayStop,
