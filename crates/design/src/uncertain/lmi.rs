@@ -122,7 +122,7 @@ impl Lmi {
         Self { n, n_z, M, blocks, variables, len }
     }
 
-    /// Minimises `lambda` from `D = I`, `G = 0`; `lambda_start` must be above the largest eigenvalue of `Mᴴ M`.
+    /// Minimises `lambda` from `D = I`, `G = 0` until it is below `enough`; `lambda_start` must be above the largest eigenvalue of `Mᴴ M`.
     ///
     /// **Method**: at every step the problem `min t` with `t D_R(x_k) + S(x) ≥ 0`, `D ≥ 0`, `tr D` fixed, is linear; one
     /// predictor and one corrector of the H..K..M direction are made and the reference `D_R(x_k)` moves on, so that the
@@ -130,7 +130,7 @@ impl Lmi {
     ///
     /// **Source**: Fan, Tits and Doyle 1991 for the inequality; Helmberg, Rendl, Vanderbei and Wolkowicz 1996 for the
     /// direction; Mehrotra 1992 for the corrector.
-    pub(crate) fn minimize(&self, lambda_start: f64, tolerance: f64) -> Solution {
+    pub(crate) fn minimize(&self, lambda_start: f64, tolerance: f64, enough: f64) -> Solution {
         let n = self.n;
         let mut state = self.start(lambda_start);
         let mut work = Work::new(self);
@@ -147,7 +147,7 @@ impl Lmi {
             let infeasibility = work.dual_infeasibility(self, &state);
             relative_gap = gap / state.lambda.abs();
             let settled = infeasibility < INFEASIBILITY_MAX || progress < tolerance * state.lambda;
-            if (relative_gap < tolerance && settled) || state.lambda < LAMBDA_TINY {
+            if (relative_gap < tolerance && settled) || state.lambda < LAMBDA_TINY.max(enough) {
                 break;
             }
             steps += 1;

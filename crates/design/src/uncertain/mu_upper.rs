@@ -54,6 +54,16 @@ pub struct MuUpper {
 /// # Ok::<(), telepulse_design::Error>(())
 /// ```
 pub fn mu_upper_bound(m: &DMatrix<Complex64>, structure: &BlockStructure) -> Result<MuUpper, Error> {
+    upper_bound_below(m, structure, 0.0)
+}
+
+/// As [`mu_upper_bound`], but content with any bound below `enough`: scales that are not driven to the edge of what they
+/// prove hold farther away.
+pub(super) fn upper_bound_below(
+    m: &DMatrix<Complex64>,
+    structure: &BlockStructure,
+    enough: f64,
+) -> Result<MuUpper, Error> {
     structure.check(m)?;
     let (n_w, n_z) = (structure.n_w(), structure.n_z());
     let size = m.iter().fold(0.0_f64, |s, v| s.max(v.re.abs()).max(v.im.abs()));
@@ -66,9 +76,9 @@ pub fn mu_upper_bound(m: &DMatrix<Complex64>, structure: &BlockStructure) -> Res
     let norms = block_norms(m, structure);
     let components = strong_components(&norms);
     let mut bound = if components.len() == 1 {
-        irreducible(m, structure, &norms)
+        irreducible(m, structure, &norms, enough / size)
     } else {
-        reducible(m, structure, &norms, &components)
+        reducible(m, structure, &norms, &components, enough / size)
     };
     let unscaled = Lmi::new(structure, m.as_slice().to_vec());
     // The level was confirmed for the balanced matrix; a few ulps may be missing for the original one.
@@ -87,7 +97,12 @@ pub fn mu_upper_bound(m: &DMatrix<Complex64>, structure: &BlockStructure) -> Res
 }
 
 /// The bound of a matrix whose blocks all influence each other.
-fn irreducible(m: &DMatrix<Complex64>, structure: &BlockStructure, norms: &DMatrix<f64>) -> MuUpper {
+fn irreducible(
+    m: &DMatrix<Complex64>,
+    structure: &BlockStructure,
+    norms: &DMatrix<f64>,
+    enough: f64,
+) -> MuUpper {
     let n_w = structure.n_w();
     let mut scalings = Scalings::identity(structure);
     let scale = balance_blocks(norms);
@@ -109,7 +124,7 @@ fn irreducible(m: &DMatrix<Complex64>, structure: &BlockStructure, norms: &DMatr
     }
     balanced.apply(|v| *v /= sigma);
     let lmi = Lmi::new(structure, balanced.as_slice().to_vec());
-    let solution = lmi.minimize(START_LEVEL, GAP_TARGET);
+    let solution = lmi.minimize(START_LEVEL, GAP_TARGET, (enough / sigma).powi(2));
     // M = sigma s^-1 M_b s, so D scales with the square of s, and G with that and sigma.
     let block = |data: &[Complex64], k: usize, f: f64| DMatrix::from_fn(k, k, |i, j| data[j * k + i] * f);
     for (i, s) in scale.iter().enumerate() {
@@ -141,6 +156,7 @@ fn reducible(
     structure: &BlockStructure,
     norms: &DMatrix<f64>,
     components: &[Vec<usize>],
+    enough: f64,
 ) -> MuUpper {
     let placed: Vec<_> = structure.placed().collect();
     let mut whole = MuUpper {
@@ -159,7 +175,7 @@ fn reducible(
         let sub = m.select_rows(&rows).select_columns(&cols);
         let sub_structure = structure.restricted(component);
         let sub_norms = norms.select_rows(component).select_columns(component);
-        let part = irreducible(&sub, &sub_structure, &sub_norms);
+        let part = irreducible(&sub, &sub_structure, &sub_norms, enough);
         if part.value > whole.value {
             whole.value = part.value;
             whole.directions.fill(Complex64::new(0.0, 0.0));

@@ -8,6 +8,7 @@ mod identification;
 mod implementation;
 mod loop_synthesis;
 mod mu_matrix;
+mod mu_system;
 mod printed;
 mod synthesis;
 mod verification;

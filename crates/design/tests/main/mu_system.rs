@@ -1,0 +1,145 @@
+//! Uncertain systems: peaks of the structured singular value, margins and the worst gain.
+
+use nalgebra::{DMatrix, dmatrix};
+use num_complex::Complex64;
+use rand::{RngExt, SeedableRng};
+use telepulse_design::Error;
+use telepulse_design::uncertain::{Block, BlockStructure, UncertainSystem, mu_peak};
+use telepulse_lti::{Continuous, StateSpace, hinf_norm};
+
+fn structure(blocks: &[Block]) -> BlockStructure {
+    BlockStructure::new(blocks.to_vec()).expect("blocks with ports")
+}
+
+/// A resonance beside a slow pole.
+fn resonance(damping: f64) -> StateSpace<Continuous> {
+    StateSpace::<Continuous>::new(
+        dmatrix![0.0, 1.0, 0.0; -1.0, -2.0 * damping, 0.0; 0.0, 0.0, -0.1],
+        dmatrix![0.0, 0.0; 2.0 * damping, 0.3 * damping; 0.05, 0.1],
+        dmatrix![0.7, 0.2, 1.0; 0.4, 1.0, -0.5],
+        dmatrix![0.0, 0.1; 0.2, 0.0],
+    )
+    .expect("valid")
+}
+
+#[test]
+fn oracle_one_full_block_peaks_at_the_h_infinity_norm() {
+    for damping in [0.3, 1e-2, 1e-5] {
+        let sys = resonance(damping);
+        let norm = hinf_norm(&sys).expect("stable").value;
+        let peak = mu_peak(&sys, &structure(&[Block::Full { rows: 2, cols: 2 }]), 1e-4).expect("proven");
+        println!("damping {damping}: {norm} {} {} {}", peak.upper, peak.lower.value, peak.intervals);
+        assert!(peak.upper >= norm * (1.0 - 1e-9) && peak.upper <= norm * 1.0002);
+        assert!(peak.lower.value <= norm * (1.0 + 1e-9));
+    }
+}
+
+#[test]
+fn law_a_narrow_resonance_is_not_missed_between_frequencies() {
+    // Two scalar blocks leave no gap, so the proven peak must hold at every frequency of a very fine grid.
+    let sys = resonance(1e-5);
+    let s = structure(&[Block::Full { rows: 1, cols: 1 }; 2]);
+    let peak = mu_peak(&sys, &s, 1e-3).expect("proven");
+    let mut seen = 0.0_f64;
+    for k in -2000..=2000 {
+        let m = sys.at(1.0 + f64::from(k) * 1e-7).expect("no pole on the axis");
+        seen = seen.max(telepulse_design::uncertain::mu_upper_bound(&m, &s).expect("finite").value);
+    }
+    println!("narrow: {} {seen} at {}", peak.upper, peak.omega_rad_s);
+    assert!(peak.upper >= seen * (1.0 - 1e-9) && peak.upper <= seen * 1.01);
+}
+
+#[test]
+fn paper_an_uncertain_pole_has_its_worst_gain_at_its_slowest() {
+    // z = w / (s + 1 + 0.5 delta): the gain at zero is 1 / (1 - 0.5) = 2, and stability is lost at delta = -2.
+    let m = StateSpace::<Continuous>::new(
+        dmatrix![-1.0],
+        dmatrix![-0.5, 1.0],
+        dmatrix![1.0; 1.0],
+        DMatrix::zeros(2, 2),
+    )
+    .expect("valid");
+    for block in [Block::RepeatedReal { size: 1 }, Block::Full { rows: 1, cols: 1 }] {
+        let sys = UncertainSystem::new(m.clone(), structure(&[block])).expect("ports");
+        let margin = sys.robust_stability_margin(1e-4).expect("proven");
+        assert!(margin.lower <= 2.0 && margin.lower > 1.999, "{margin:?}");
+        let worst = sys.worst_case_gain(1e-3).expect("proven");
+        println!("{block:?}: {} {}", worst.lower, worst.upper);
+        assert!(worst.upper >= 2.0 && worst.upper < 2.005, "{worst:?}");
+        assert!(worst.lower > 1.99 && worst.lower <= 2.0 + 1e-9, "{worst:?}");
+    }
+}
+
+#[test]
+fn paper_stiffness_and_damping_lose_stability_where_a_coefficient_vanishes() {
+    // s² + (0.1 + 0.1 d2) s + 1 + 0.5 d1 with real d1, d2: stable until d2 = -1 or d1 = -2.
+    let m = StateSpace::<Continuous>::new(
+        dmatrix![0.0, 1.0; -1.0, -0.1],
+        dmatrix![0.0, 0.0; -0.5, -0.1],
+        dmatrix![1.0, 0.0; 0.0, 1.0],
+        DMatrix::zeros(2, 2),
+    )
+    .expect("valid");
+    // Where rounding keeps the intervals from meeting, as it may for real parameters alone, the proof is refused.
+    match mu_peak(&m, &structure(&[Block::RepeatedReal { size: 1 }; 2]), 1e-3) {
+        Ok(peak) => {
+            println!("two parameters: {} {} {}", peak.upper, peak.lower.value, peak.intervals);
+            assert!(peak.upper >= 1.0 && peak.upper < 1.01, "{peak:?}");
+            assert!(peak.lower.value <= 1.0 + 1e-9, "{peak:?}");
+        }
+        Err(error) => assert!(matches!(error, Error::MuNotProven { .. }), "{error}"),
+    }
+}
+
+#[test]
+fn law_no_random_perturbation_beats_the_worst_case_gain() {
+    // M with a real parameter, a dynamic block and a performance port; 1e5 perturbations, constant at random frequencies.
+    let m = StateSpace::<Continuous>::new(
+        dmatrix![0.0, 1.0; -1.0, -0.4],
+        dmatrix![0.0, 0.0, 0.0; 0.1, 0.15, 1.0],
+        dmatrix![1.0, 0.0; 0.3, 0.2; 1.0, 0.1],
+        dmatrix![0.0, 0.0, 0.0; 0.1, 0.0, 0.2; 0.0, 0.0, 0.0],
+    )
+    .expect("valid");
+    let s = structure(&[Block::RepeatedReal { size: 1 }, Block::Full { rows: 1, cols: 1 }]);
+    let sys = UncertainSystem::new(m.clone(), s).expect("ports");
+    let worst = sys.worst_case_gain(1e-3).expect("proven");
+    let check = hinf_norm(&sys.close(&worst.delta).expect("fits")).expect("stable").value;
+    let size = hinf_norm(&worst.delta).expect("stable").value;
+    println!("seed 61: worst {} {} at {}", worst.lower, worst.upper, worst.omega_rad_s);
+    assert!(check >= worst.lower * (1.0 - 1e-9) && size <= 1.0 + 1e-9);
+    assert!(worst.lower <= worst.upper * (1.0 + 1e-9));
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(61);
+    let mut largest = 0.0_f64;
+    for _ in 0..1000 {
+        let response = m.at(rng.random_range(0.3_f64..2.0)).expect("no pole");
+        for _ in 0..100 {
+            let (a, phase) = (rng.random_range(-1.0..=1.0), rng.random_range(0.0..6.3));
+            let delta = [Complex64::new(a, 0.0), Complex64::from_polar(1.0, phase)];
+            // z = (M22 + M21 Delta (I - M11 Delta)^-1 M12) w by Cramer's rule.
+            let p = |i: usize, j: usize| {
+                response[(i, j)] * if j < 2 { delta[j] } else { Complex64::new(1.0, 0.0) }
+            };
+            let one = Complex64::new(1.0, 0.0);
+            let det = (one - p(0, 0)) * (one - p(1, 1)) - p(0, 1) * p(1, 0);
+            let z0 = ((one - p(1, 1)) * p(0, 2) + p(0, 1) * p(1, 2)) / det;
+            let z1 = ((one - p(0, 0)) * p(1, 2) + p(1, 0) * p(0, 2)) / det;
+            largest = largest.max((p(2, 2) + p(2, 0) * z0 + p(2, 1) * z1).norm());
+        }
+    }
+    println!("random search reaches {largest}");
+    assert!(largest <= worst.upper, "seed 61: {largest} {}", worst.upper);
+    assert!(worst.lower > 0.98 * largest, "seed 61: {largest} {}", worst.lower);
+}
+
+#[test]
+fn edge_an_unstable_or_misfitting_system_is_refused() {
+    let unstable = StateSpace::<Continuous>::new(dmatrix![1.0], dmatrix![1.0], dmatrix![1.0], dmatrix![0.0])
+        .expect("valid");
+    let s = structure(&[Block::Full { rows: 1, cols: 1 }]);
+    assert!(mu_peak(&unstable, &s, 1e-3).is_err());
+    assert!(
+        mu_peak(&StateSpace::<Continuous>::from_gain(dmatrix![0.5]).expect("valid"), &s, f64::NAN).is_err()
+    );
+    assert!(UncertainSystem::new(unstable, s).is_err());
+}
