@@ -633,6 +633,21 @@ pub enum Error {
         level: f64,
     },
 
+    // ---- synthesize: D-K iteration ----
+    /// A matrix has no singular value decomposition within the bound of the iteration.
+    #[error("singular values did not converge")]
+    SingularValuesNotConverged,
+    /// A stage of a D-K iteration must give as many scales as there are blocks, each positive and finite.
+    #[error("{stage} must give {expected} positive scales, found {found}")]
+    StageScales {
+        /// Which stage.
+        stage: &'static str,
+        /// Blocks of the perturbation.
+        expected: usize,
+        /// Usable scales found.
+        found: usize,
+    },
+
     // ---- verify ----
     /// The closed loop is not stable, so it has no certificate.
     #[error("closed loop must be stable, found poles at {} rad/s", list(poles))]

@@ -33,6 +33,8 @@ pub use family::{
 pub use first_order::{FirstOrderFit, fit_first_order};
 pub use fit::{FitOptions, Residual, ThirdOrderFit, Weighting, fit_third_order};
 pub use magnitude_design::{BoundShape, ORDER_MAX};
+pub(crate) use magnitude_design::{Design as MagnitudeDesign, Row as MagnitudeRow, design_magnitude};
+pub(crate) use minimum_phase::MinimumPhase;
 pub use model::{Controlled, InputLinearisation, ModelProvenance, PlantModel};
 pub use plan::{SweepOptions, SweepPlan, SweepSegment, log_spaced};
 pub use record::{Distortion, SweepPoint, SweepRecord};

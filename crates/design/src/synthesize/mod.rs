@@ -10,6 +10,7 @@ mod central_controller;
 mod controller_gain;
 mod controller_speed;
 mod discrete;
+pub mod dk;
 mod full_information;
 mod h2syn;
 mod hinfsyn;

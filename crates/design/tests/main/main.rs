@@ -3,6 +3,7 @@
 #![allow(clippy::print_stdout)]
 
 mod controller_order;
+mod dk;
 mod family;
 mod identification;
 mod implementation;
