@@ -2,11 +2,13 @@
 //!
 //! - [`realize_continuous`], [`realize_discrete`]: modes that a real-time loop advances one by one;
 //! - [`reduce_controller`]: fewer states, shown on the closed loop to be enough;
+//! - [`forms`]: the forms that a controller can run in, and the error of each in single and double precision;
 //! - [`PidSettings`]: the other kind of law;
 //! - [`preview_feedforward`]: drive from a reference that is known ahead; [`StaticInverse`]: from a measured curve;
 //! - [`ControllerRecipe`]: all of it in one file, with the evidence that the law may run.
 
 mod controller_order;
+pub mod forms;
 mod modal_delta;
 mod pid;
 mod preview;

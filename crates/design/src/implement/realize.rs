@@ -22,6 +22,23 @@ pub enum Discretization {
     },
 }
 
+impl Discretization {
+    /// The time `T` in `s = (2/T)(z - 1)/(z + 1)`: the sample time, or what makes the response exact at the chosen frequency.
+    pub(super) fn tustin_time_s(self, sample_time: SampleTime) -> Result<f64> {
+        let sample_time_s = sample_time.seconds();
+        match self {
+            Self::Tustin => Ok(sample_time_s),
+            Self::TustinPrewarped { omega_rad_s } => {
+                if !(omega_rad_s > 0.0 && omega_rad_s < sample_time.nyquist_rad_s()) {
+                    let allowed = "above 0 and below the Nyquist frequency";
+                    return Err(Error::OutOfRange { key: "omega_rad_s", found: omega_rad_s, allowed });
+                }
+                Ok(2.0 * (0.5 * omega_rad_s * sample_time_s).tan() / omega_rad_s)
+            }
+        }
+    }
+}
+
 /// A controller in modal delta form, and what the change of form cost.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Realization {
@@ -69,16 +86,7 @@ pub fn realize_continuous(
 ) -> Result<Realization> {
     let modes = split(controller)?;
     let sample_time_s = sample_time.seconds();
-    let tustin_time_s = match discretization {
-        Discretization::Tustin => sample_time_s,
-        Discretization::TustinPrewarped { omega_rad_s } => {
-            if !(omega_rad_s > 0.0 && omega_rad_s < sample_time.nyquist_rad_s()) {
-                let allowed = "above 0 and below the Nyquist frequency";
-                return Err(Error::OutOfRange { key: "omega_rad_s", found: omega_rad_s, allowed });
-            }
-            2.0 * (0.5 * omega_rad_s * sample_time_s).tan() / omega_rad_s
-        }
-    };
+    let tustin_time_s = discretization.tustin_time_s(sample_time)?;
     let mut law =
         ModalDelta { real: Vec::new(), complex: Vec::new(), d: controller.d()[(0, 0)], sample_time_s };
     for mode in &modes.list {

@@ -5,6 +5,7 @@
 mod controller_order;
 mod dk;
 mod family;
+mod forms;
 mod identification;
 mod implementation;
 mod loop_synthesis;

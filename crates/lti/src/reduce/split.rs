@@ -119,6 +119,10 @@ pub fn block_diagonalize<D: TimeDomain>(
     }
     let balanced = sys.balanced();
     let n = balanced.n_states();
+    if n == 0 {
+        // Neither an LU nor an SVD exists of a matrix without entries.
+        return Ok(BlockDiagonal { sys: balanced, block_sizes: Vec::new(), condition: 1.0 });
+    }
     let RealSchur { mut q, mut t } = RealSchur::new(balanced.a())?;
     let mut block_sizes = Vec::new();
     let mut start = 0;
@@ -167,7 +171,7 @@ pub fn block_diagonalize<D: TimeDomain>(
         start += size;
     }
     let singular = q.clone().singular_values();
-    let condition = if n == 0 { 1.0 } else { singular.max() / singular.min() };
+    let condition = singular.max() / singular.min();
     let lost = Error::Singular {
         matrix: "block-diagonalizing transformation",
         reciprocal_condition: 1.0 / condition,
