@@ -156,6 +156,7 @@ fn law_the_best_controller_is_kept_and_one_block_is_plain_synthesis() {
     let design =
         dk_iteration(&plant, &paper_blocks(), &DkOptions { iterations_max: 5, ..DkOptions::default() });
     let design = design.expect("feasible");
+    print(&design);
     let least = design.history.iter().map(|h| h.mu_peak_proven).fold(f64::INFINITY, f64::min);
     assert_eq!(design.mu_peak_proven, least);
     assert_eq!(design.history[design.best_idx].mu_peak_proven, least);
