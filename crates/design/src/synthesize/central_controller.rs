@@ -4,6 +4,8 @@
 //! `Y1`, so a solution `X` that is about to become infinite (the usual limit of a stable plant, whose `Y` is zero) does
 //! no harm.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 use telepulse_lti::riccati::StableSubspace;
@@ -36,12 +38,28 @@ pub(super) struct Feasible {
     gamma: f64,
     x: StableSubspace,
     y: StableSubspace,
+    margins: Margins,
+}
+
+/// How far the smooth conditions are from their limit; positive where they hold.
+#[derive(Clone, Copy)]
+struct Margins {
+    /// From the largest angle of `X` to a right angle, where it becomes infinite.
+    control_definite: f64,
+    /// The same of `Y`.
+    filter_definite: f64,
+    /// `ln(gamma² / rho(X Y))`.
+    coupling: f64,
 }
 
 /// Outcome of testing one gamma.
 pub(super) enum Test {
     Feasible(Box<Feasible>),
-    Violated(Condition),
+    Violated {
+        condition: Condition,
+        /// How far beyond its limit, below 0 and as in [`Feasible::margin`]; `None` for a condition that has no measure.
+        margin: Option<f64>,
+    },
 }
 
 /// Returns Parrott's bound: the norm of `D11` that no static feedback can lower.
@@ -62,32 +80,50 @@ pub(super) fn parrott_bound(plant: &NormalizedPlant) -> f64 {
 /// **Errors**: those of the Schur form; a condition that fails is an answer, not an error.
 pub(super) fn test(plant: &NormalizedPlant, gamma: f64) -> Result<Test, Error> {
     if gamma <= parrott_bound(plant) {
-        return Ok(Test::Violated(Condition::DirectTerm));
+        return Ok(Test::Violated { condition: Condition::DirectTerm, margin: None });
     }
     let Some((control, filter)) = ControlTerms::new(plant, gamma).zip(FilterTerms::new(plant, gamma)) else {
-        return Ok(Test::Violated(Condition::DirectTerm));
+        return Ok(Test::Violated { condition: Condition::DirectTerm, margin: None });
     };
+    let beyond = |condition, margin| Ok(Test::Violated { condition, margin });
     let x = match subspace(&control.a, &control.g, &control.q)? {
-        None => return Ok(Test::Violated(Condition::ControlAxis)),
+        None => return beyond(Condition::ControlAxis, None),
         Some(x) => x,
     };
-    if !is_positive_semidefinite(&x) {
-        return Ok(Test::Violated(Condition::ControlDefinite));
+    let control_definite = definite_margin(&x);
+    if control_definite < 0.0 {
+        return beyond(Condition::ControlDefinite, Some(control_definite));
     }
     let y = match subspace(&filter.a, &filter.g, &filter.q)? {
-        None => return Ok(Test::Violated(Condition::FilterAxis)),
+        None => return beyond(Condition::FilterAxis, None),
         Some(y) => y,
     };
-    if !is_positive_semidefinite(&y) {
-        return Ok(Test::Violated(Condition::FilterDefinite));
+    let filter_definite = definite_margin(&y);
+    if filter_definite < 0.0 {
+        return beyond(Condition::FilterDefinite, Some(filter_definite));
     }
-    match coupling(&x, &y) {
-        Some(radius) if radius < gamma * gamma => Ok(Test::Feasible(Box::new(Feasible { gamma, x, y }))),
-        _ => Ok(Test::Violated(Condition::Coupling)),
+    let radius = coupling(&x, &y);
+    let coupling = radius.map(|radius| (gamma * gamma / radius).ln());
+    match coupling {
+        Some(coupling) if coupling > 0.0 => {
+            let margins = Margins { control_definite, filter_definite, coupling };
+            Ok(Test::Feasible(Box::new(Feasible { gamma, x, y, margins })))
+        }
+        _ => beyond(Condition::Coupling, coupling),
     }
 }
 
 impl Feasible {
+    /// How far this gamma is from the limit that the condition sets; `None` for a condition that has no measure.
+    pub(super) fn margin(&self, condition: Condition) -> Option<f64> {
+        match condition {
+            Condition::ControlDefinite => Some(self.margins.control_definite),
+            Condition::FilterDefinite => Some(self.margins.filter_definite),
+            Condition::Coupling => Some(self.margins.coupling),
+            Condition::DirectTerm | Condition::ControlAxis | Condition::FilterAxis => None,
+        }
+    }
+
     /// Returns the central controller of the normalized plant.
     ///
     /// **Method**: Theorem 17.1 of Zhou, Doyle and Glover in the coordinates `x = X1 q`:
@@ -239,8 +275,16 @@ fn bases(s: &StableSubspace) -> (DMatrix<f64>, DMatrix<f64>) {
     (upper, lower)
 }
 
-fn is_positive_semidefinite(s: &StableSubspace) -> bool {
-    s.angles().iter().all(|angle| *angle > -ZERO_ANGLE)
+/// From the largest angle to a right angle, where the solution becomes infinite; below 0 where an angle has gone beyond it
+/// and come back as a negative one, which means an indefinite solution.
+fn definite_margin(s: &StableSubspace) -> f64 {
+    let angles = s.angles();
+    let smallest = angles.iter().copied().fold(f64::INFINITY, f64::min);
+    if smallest > -ZERO_ANGLE {
+        FRAC_PI_2 - angles.iter().copied().fold(0.0, f64::max)
+    } else {
+        -(FRAC_PI_2 + smallest).max(f64::MIN_POSITIVE)
+    }
 }
 
 /// Spectral radius of `X Y` for positive semidefinite `X` and `Y`; `None` where one of them is infinite.

@@ -124,8 +124,8 @@ impl HinfDesign {
 ///
 /// **Shapes and units**: see [`GeneralizedPlant`] for the loop; feedback is `u = K y`.
 ///
-/// **Method**: normalize `D12` and `D21`, check the assumptions mode by mode, bracket gamma by bisection of its logarithm
-/// between Parrott's bound and a feasible value, design the central controller once at `backoff` times the upper end,
+/// **Method**: normalize `D12` and `D21`, check the assumptions mode by mode, bracket gamma between Parrott's bound and a feasible value by
+/// regula falsi or bisection of its logarithm, design the central controller once at `backoff` times the upper end,
 /// undo the normalization (including `D22`), close the loop on the given plant and compute its norm through
 /// [`hinf_norm()`]. A design whose loop is unstable or misses its gamma is discarded and repeated further from the
 /// optimum; it is never returned.
@@ -263,6 +263,13 @@ struct Bracket {
     upper: f64,
     binding: Option<Condition>,
     n_tests: usize,
+    /// How far `lower` is beyond the limit that `binding` sets, and how far `upper` is from it, where that has a measure.
+    margins: (Option<f64>, Option<f64>),
+    /// At `upper`, for another condition to ask.
+    feasible: Option<Box<Feasible>>,
+    /// Which end moved last, and how often without the other one.
+    n_lower_moves: usize,
+    n_upper_moves: usize,
 }
 
 impl Bracket {
@@ -273,6 +280,10 @@ impl Bracket {
             upper: f64::INFINITY,
             binding: (parrott > 0.0).then_some(Condition::DirectTerm),
             n_tests: 0,
+            margins: (None, None),
+            feasible: None,
+            n_lower_moves: 0,
+            n_upper_moves: 0,
         };
         // Up, by factors, until something is feasible.
         let mut gamma = if parrott > 0.0 { 2.0 * parrott } else { FIRST_GAMMA };
@@ -296,20 +307,53 @@ impl Bracket {
             if bracket.upper <= bracket.lower * (1.0 + options.gamma_tolerance) {
                 return Ok(bracket);
             }
-            bracket.try_gamma(plant, (bracket.lower * bracket.upper).sqrt())?;
+            bracket.try_gamma(plant, bracket.next_gamma(options.gamma_tolerance))?;
         }
         Err(Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper })
+    }
+
+    /// Where to look next: by regula falsi in the logarithm of gamma where the binding condition has a measure, else in the middle.
+    fn next_gamma(&self, tolerance: f64) -> f64 {
+        let width = (self.upper / self.lower).ln();
+        let middle = 0.5;
+        let fraction = match self.margins {
+            (Some(beyond), Some(within)) if self.n_lower_moves.max(self.n_upper_moves) < MOVES_MAX => {
+                // An end that stays is given less weight each time (Illinois rule), so that the other one gets to it.
+                let beyond = -beyond * 0.5_f64.powi(self.n_upper_moves.saturating_sub(1) as i32);
+                let within = within * 0.5_f64.powi(self.n_lower_moves.saturating_sub(1) as i32);
+                // Not nearer to an end than half of what would be near enough.
+                let near = (0.4 * tolerance / width).min(0.5);
+                (beyond / (beyond + within)).clamp(near, 1.0 - near)
+            }
+            _ => middle,
+        };
+        let fraction = if fraction.is_finite() { fraction } else { middle };
+        self.lower * (fraction * width).exp()
     }
 
     fn try_gamma(&mut self, plant: &NormalizedPlant, gamma: f64) -> Result<(), Error> {
         self.n_tests += 1;
         match test(plant, gamma)? {
-            Test::Feasible(_) => self.upper = gamma,
-            Test::Violated(condition) => {
+            Test::Feasible(feasible) => {
+                self.upper = gamma;
+                self.feasible = Some(feasible);
+                self.n_upper_moves += 1;
+                self.n_lower_moves = 0;
+            }
+            Test::Violated { condition, margin } => {
                 self.lower = gamma;
                 self.binding = Some(condition);
+                self.margins.0 = margin;
+                self.n_lower_moves += 1;
+                self.n_upper_moves = 0;
             }
         }
+        if self.n_lower_moves.max(self.n_upper_moves) > MOVES_MAX {
+            // The step in the middle has been made.
+            (self.n_lower_moves, self.n_upper_moves) = (0, 0);
+        }
+        self.margins.1 =
+            self.binding.and_then(|condition| self.feasible.as_ref().and_then(|at| at.margin(condition)));
         Ok(())
     }
 }
@@ -352,7 +396,7 @@ impl Attempt {
     ) -> Result<Self, Error> {
         let feasible: Feasible = match test(normalized, gamma)? {
             Test::Feasible(feasible) => *feasible,
-            Test::Violated(_) => return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY }),
+            Test::Violated { .. } => return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY }),
         };
         let central = feasible.controller(normalized).and_then(|central| normalized.recover(&central));
         let verified = central.and_then(|central| Self::verified(plant, central, gamma));
@@ -404,7 +448,9 @@ impl Attempt {
     ) -> Result<Self, Error> {
         let closed_loop = plant.lower_lft(&controller)?;
         let closed_loop_poles = closed_loop.poles()?;
-        if closed_loop_poles.iter().any(|pole| pole.re >= 0.0) {
+        // A real part that rounding of the loop's own entries can turn is no evidence of stability.
+        let rounding = STABLE_ROUNDING * f64::EPSILON * closed_loop.balanced().a().norm();
+        if closed_loop_poles.iter().any(|pole| pole.re >= -rounding) {
             return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY });
         }
         let achieved = hinf_norm(&closed_loop)?;
@@ -425,6 +471,10 @@ const FIRST_GAMMA: f64 = 1.0;
 const GROWTH: f64 = 10.0;
 /// A problem that is still feasible this far below the first feasible gamma has no lower end worth finding.
 const SMALLEST_RELATIVE: f64 = 1e-12;
+/// Units of the last place of the loop's state matrix that a stable pole must be away from the axis.
+const STABLE_ROUNDING: f64 = 4.0;
+/// Moves of the same end after which the middle is tried.
+const MOVES_MAX: usize = 3;
 /// Halvings of the logarithm: a decade to `1e-12` takes 42.
 const BISECTIONS_MAX: usize = 80;
 /// Designs tried, each further from the optimum than the one before.
