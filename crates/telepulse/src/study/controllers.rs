@@ -2,7 +2,9 @@
 
 use anyhow::{Context, Result};
 use telepulse_design::identify::PlantModel;
-use telepulse_design::synthesize::{HinfOptions, MixedSensitivityWeights, hinfsyn, mixed_sensitivity};
+use telepulse_design::synthesize::{
+    HinfOptions, MixedSensitivityWeights, SingularProblem, hinfsyn, mixed_sensitivity,
+};
 use telepulse_design::verify::{Certificate, LoopUnderTest, verify};
 use telepulse_lti::{Continuous, StateSpace, TransferFunction};
 
@@ -31,8 +33,12 @@ pub fn synthesize(study: &Study, plant: &TransferFunction) -> Result<Design> {
     let weights = MixedSensitivityWeights { we: &error_weight, wu: &control_weight, wt: None };
     let generalized =
         mixed_sensitivity(plant, &weights).context("the mixed-sensitivity problem cannot be posed")?;
-    let options =
-        HinfOptions { max_controller_pole_rad_s: Some(FASTEST_POLE_RAD_S), ..HinfOptions::default() };
+    let options = HinfOptions {
+        max_controller_pole_rad_s: Some(FASTEST_POLE_RAD_S),
+        // Weights that leave the command free are to be mended by whoever wrote them, not by a small addition.
+        singular: SingularProblem::Refuse,
+        ..HinfOptions::default()
+    };
     let design = hinfsyn(&generalized, &options).context("no H-infinity controller")?;
     // The peaks of the loop as designed; the bound plays no part in them.
     let zero = TransferFunction::from_gain(0.0)?;
