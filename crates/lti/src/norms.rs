@@ -84,11 +84,11 @@ pub fn hankel_norm<D: TimeDomain>(sys: &StateSpace<D>) -> Result<f64, Error> {
 /// The margins of the poles and of the state matrix to instability.
 ///
 /// **Method**: eigenvalues for the poles. The distance is one over the H-infinity norm of the resolvent, so its bracket is
-/// that of [`hinf_norm`]; it depends on the coordinates, as the poles do not.
+/// that of [`hinf_norm()`]; it depends on the coordinates, as the poles do not.
 ///
 /// **Source**: Van Loan 1985, "How near is a stable matrix to an unstable matrix?"; Byers 1988.
 ///
-/// **Errors**: those of [`hinf_norm`].
+/// **Errors**: those of [`hinf_norm()`].
 ///
 /// **Example**: a strong coupling makes two fast modes fragile.
 /// ```

@@ -33,7 +33,7 @@ pub struct NcfMargin {
 /// margin `b` guarantees, for a loop with one input, a gain margin of `(1 + b) / (1 - b)` and a phase margin of `2 asin(b)`: 0.3
 /// stands for 1.86 and 35 degrees.
 ///
-/// **Method**: the four functions in one system with the states of `G` and `K` once; [`hinf_norm`].
+/// **Method**: the four functions in one system with the states of `G` and `K` once; [`hinf_norm()`].
 ///
 /// **Source**: McFarlane and Glover 1990; Vinnicombe 2001, section 2.3.
 ///

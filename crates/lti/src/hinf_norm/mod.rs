@@ -69,7 +69,7 @@ pub fn hinf_norm<D: TimeDomain>(sys: &StateSpace<D>) -> Result<PeakGain, Error> 
 
 /// Returns the L-infinity norm, the peak gain over all frequencies of a system that may be unstable.
 ///
-/// **Method**, **Accuracy**: as [`hinf_norm`], which equals it for a stable system.
+/// **Method**, **Accuracy**: as [`hinf_norm()`], which equals it for a stable system.
 ///
 /// **Errors**: [`Error::PoleAtFrequency`] for a pole on the stability boundary that the ports see, where the norm is
 /// infinite; [`Error::PeakNotBounded`], [`Error::EigenvaluesNotConverged`].
@@ -96,9 +96,9 @@ pub fn linf_norm<D: TimeDomain>(sys: &StateSpace<D>) -> Result<PeakGain, Error> 
 }
 
 impl<D: TimeDomain> StateSpace<D> {
-    /// Returns the H-infinity norm; see [`hinf_norm`].
+    /// Returns the H-infinity norm; see [`hinf_norm()`].
     ///
-    /// **Errors**: as [`hinf_norm`].
+    /// **Errors**: as [`hinf_norm()`].
     pub fn hinf_norm(&self) -> Result<PeakGain, Error> {
         hinf_norm(self)
     }

@@ -35,7 +35,7 @@ pub struct PidLoopCheck {
 ///
 /// **Method**: stability from the closed-loop poles, or with dead time by two counts that have to agree: the direct method of
 /// Walton and Marshall, and the argument principle with every step of the argument certified. Peaks without dead time by
-/// the Hamiltonian test of [`hinf_norm`], with dead time by branch and bound over the frequency axis. Nothing rests on a
+/// the Hamiltonian test of [`hinf_norm()`], with dead time by branch and bound over the frequency axis. Nothing rests on a
 /// grid.
 ///
 /// **Accuracy**: brackets to 1e-10 relative without dead time, 1e-5 with it.
