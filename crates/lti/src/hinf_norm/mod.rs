@@ -138,7 +138,8 @@ impl<'a> Search<'a> {
                 return Err(Error::PeakNotBounded { lower: self.best.gain, level });
             }
             let crossings = test.crossings(level)?;
-            if !self.climb_above(level, &crossings)? {
+            // Rounding of a graded Hamiltonian hides crossings: there the frequencies between the poles are looked at as well.
+            if !self.climb_above(level, &crossings)? && !self.look_between_poles(level)? {
                 return Ok(self.bracket(level));
             }
         }
@@ -218,6 +219,49 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
+    /// Looks at frequencies over the range of the poles, where that spans so many decades that the level test may be blind;
+    /// whether a gain above the level was found.
+    fn look_between_poles(&mut self, level: f64) -> Result<bool, Error> {
+        let sys = self.sys;
+        if sys.sample_time_s.is_some() {
+            return Ok(false);
+        }
+        let sizes = sys.poles.iter().map(|pole| pole.norm()).filter(|size| *size > 0.0);
+        let (low, high) =
+            sizes.fold((f64::INFINITY, 0.0_f64), |(low, high), size| (low.min(size), high.max(size)));
+        let decades = (high / low).log10();
+        if !(decades > GRADED_DECADES && decades.is_finite()) {
+            return Ok(false);
+        }
+        let count = (decades * PROBES_PER_DECADE).ceil();
+        let mut best = Seen { gain: level, frequency: 0.0 };
+        for k in 0..=count as u32 {
+            let frequency = low * 10.0_f64.powf(decades / count * f64::from(k));
+            let rough = self.gains.gain(frequency);
+            // The Hessenberg form of a graded matrix may have lost the gain itself.
+            let gain = if self.gains.rounding(frequency) > PROBE_ROUNDING * rough {
+                refined_gain(sys, frequency).map_or(rough, |refined| refined.gain)
+            } else {
+                rough
+            };
+            if gain > best.gain {
+                best = Seen { gain, frequency };
+            }
+        }
+        if best.gain <= level {
+            return Ok(false);
+        }
+        let look = |f: f64| refined_gain(sys, f).map_or(0.0, |refined| refined.gain);
+        let (old, old_error, old_rounding) = (self.best, self.error, self.rounding);
+        self.best = climb(look, best, PROBE_STEP * best.frequency);
+        self.refine()?;
+        if self.best.gain > level {
+            return Ok(true);
+        }
+        (self.best, self.error, self.rounding) = (old, old_error, old_rounding);
+        Ok(false)
+    }
+
     /// Climbs from the crossings of a level; whether a gain above the level was found.
     fn climb_above(&mut self, level: f64, crossings: &[Crossing]) -> Result<bool, Error> {
         let mut starts: Vec<(Seen, f64)> = Vec::new();
@@ -293,6 +337,14 @@ const STEP: f64 = 0.5;
 const REFINE_ABOVE: f64 = 1e-13;
 /// Relative rounding above which the climb is repeated as well: half the square of it is lost in the gain.
 const CLIMB_AGAIN_ABOVE: f64 = 1e-7;
+/// Decades between the slowest and the fastest pole from which on the level test is not trusted alone.
+const GRADED_DECADES: f64 = 7.0;
+/// Frequencies looked at in each decade then.
+const PROBES_PER_DECADE: f64 = 10.0;
+/// Relative rounding of the gain above which they are looked at in doubled precision.
+const PROBE_ROUNDING: f64 = 1e-6;
+/// First step of a climb from there, relative to the frequency.
+const PROBE_STEP: f64 = 0.05;
 /// A possible crossing with less than this share of the level is none.
 const NEAR_LEVEL: f64 = 0.99;
 /// Damping ratio, or distance from the unit circle, that cannot be told from none.
@@ -318,6 +370,21 @@ mod tests {
         assert!((peak.value - exact).abs() < 1e-13 && (peak.value - 0.2426).abs() < 5e-5);
         assert!((peak.omega_rad_s - 50.0 * (1.0 - 2.0 * zeta * zeta).sqrt()).abs() < 1e-5);
         assert!(peak.upper >= exact && peak.upper <= exact * (1.0 + 2e-10));
+    }
+
+    #[test]
+    fn regress_a_loop_of_24_decades_is_not_bounded_below_its_own_gain() {
+        // The level test alone proved 1.00189, and the Hessenberg form shows no more.
+        let file = include_str!("../../../../testdata/norms/graded_loop.json");
+        let file: serde_json::Value = serde_json::from_str(file).expect("json");
+        let matrix = |key: &str| {
+            let rows: Vec<Vec<f64>> = serde_json::from_value(file[key].clone()).expect("rows");
+            DMatrix::from_fn(rows.len(), rows[0].len(), |i, j| rows[i][j])
+        };
+        let sys = StateSpace::<Continuous>::new(matrix("A"), matrix("B"), matrix("C"), matrix("D"));
+        let peak = hinf_norm(&sys.expect("shapes")).expect("stable");
+        let gain = file["gain"].as_f64().expect("a number");
+        assert!(peak.upper >= gain && (peak.value / gain - 1.0).abs() < 1e-9, "{peak:?}");
     }
 
     #[test]
