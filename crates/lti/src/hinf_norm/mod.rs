@@ -140,7 +140,14 @@ impl<'a> Search<'a> {
             let crossings = test.crossings(level)?;
             // Rounding of a graded Hamiltonian hides crossings: there the frequencies between the poles are looked at as well.
             if !self.climb_above(level, &crossings)? && !self.look_between_poles(level)? {
-                return Ok(self.bracket(level));
+                let peak = self.bracket(level);
+                // Where doubled precision leaves three digits or fewer, its own error bound is not to be trusted either.
+                let lost = peak.upper - peak.lower > LOST * peak.value && peak.value > 0.0;
+                return if lost {
+                    Err(Error::PeakNotBounded { lower: peak.lower, level: peak.upper })
+                } else {
+                    Ok(peak)
+                };
             }
         }
         Err(Error::PeakNotBounded { lower: self.best.gain, level: self.best.gain })
@@ -337,6 +344,8 @@ const STEP: f64 = 0.5;
 const REFINE_ABOVE: f64 = 1e-13;
 /// Relative rounding above which the climb is repeated as well: half the square of it is lost in the gain.
 const CLIMB_AGAIN_ABOVE: f64 = 1e-7;
+/// Relative width of a bracket that is none.
+const LOST: f64 = 1e-3;
 /// Decades between the slowest and the fastest pole from which on the level test is not trusted alone.
 const GRADED_DECADES: f64 = 7.0;
 /// Frequencies looked at in each decade then.
