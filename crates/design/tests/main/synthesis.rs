@@ -404,15 +404,18 @@ fn oracle_reference_syntheses() {
                     design.n_feasibility_tests,
                     1e3 * seconds
                 );
-                if !(1.0 - 1e-6..=1.0101).contains(&ratio) {
+                if !(1.0 - 1e-6..=1.01).contains(&ratio) {
                     failures.push(format!("{id}: {ratio}"));
                 }
             }
-            (
-                None,
-                Err(error @ (Error::SingularD12 { .. } | Error::SingularD21 { .. } | Error::AxisZero { .. })),
-            ) => {
-                println!("{id}: {error}");
+            // Singular: what the norm is worth is judged where the loop is closed anew.
+            (None, Ok(design)) if design.regularization.is_some() => {
+                let closed =
+                    hinf_norm(&plant.lower_lft(&design.controller).expect("proper")).expect("stable");
+                println!("{id}: regularised, norm {}, {:.2} ms", closed.value, 1e3 * seconds);
+                if (closed.value / design.achieved.value - 1.0).abs() > 1e-6 {
+                    failures.push(format!("{id}: {closed:?}"));
+                }
             }
             (_, result) => failures.push(format!("{id}: {result:?}")),
         }
