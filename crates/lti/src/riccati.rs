@@ -33,7 +33,7 @@ use balancing::{Balanced, unscale};
 use subspace::RECIPROCAL_CONDITION_MIN;
 
 pub use general::{GeneralSolution, Route, SecondRoute, Terms, care, dare};
-pub use subspace::StableSubspace;
+pub use subspace::{StableSubspace, Subspace};
 
 /// The stabilizing solution of a Riccati equation and the evidence for it.
 #[derive(Clone, Debug, PartialEq)]

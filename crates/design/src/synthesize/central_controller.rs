@@ -7,8 +7,9 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{DMatrix, SymmetricEigen};
+use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
-use telepulse_lti::riccati::StableSubspace;
+use telepulse_lti::riccati::{StableSubspace, Subspace};
 use telepulse_lti::{Continuous, StateSpace};
 
 use super::normalized_plant::NormalizedPlant;
@@ -48,26 +49,38 @@ struct Margins {
     control_definite: f64,
     /// The same of `Y`.
     filter_definite: f64,
-    /// `ln(gamma² / rho(X Y))`.
+    /// `1 / rho(X Y) - 1 / gamma²`, which is nearly linear in `1 / gamma²`.
     coupling: f64,
 }
 
 /// Outcome of testing one gamma.
 pub(super) enum Test {
     Feasible(Box<Feasible>),
-    Violated {
-        condition: Condition,
-        /// How far beyond its limit, below 0 and as in [`Feasible::margin`]; `None` for a condition that has no measure.
-        margin: Option<f64>,
-    },
+    Violated(Violation),
 }
 
-/// Returns Parrott's bound: the norm of `D11` that no static feedback can lower.
-pub(super) fn parrott_bound(plant: &NormalizedPlant) -> f64 {
-    let upper = plant.d11.rows(0, plant.n_z_free());
-    let left = plant.d11.columns(0, plant.n_w_free());
-    let norm = |m: DMatrix<f64>| if m.is_empty() { 0.0 } else { m.singular_values().max() };
-    norm(upper.into_owned()).max(norm(left.into_owned()))
+/// The first condition that a gamma was seen to violate.
+pub(super) struct Violation {
+    pub(super) condition: Condition,
+    /// How far beyond its limit, below 0 and as in [`Feasible::margin`]; `None` for a condition that has no measure.
+    pub(super) margin: Option<f64>,
+    /// As `margin` for the coupling condition, followed through an infinite `X` or `Y` to where one of them is indefinite.
+    pub(super) coupling: Option<f64>,
+    /// Where the axis conditions fail: eigenvalues of the Hamiltonian on the axis or close to it, in rad/s and sorted.
+    pub(super) frequencies: Vec<f64>,
+}
+
+impl Violation {
+    fn new(condition: Condition, margin: Option<f64>) -> Self {
+        Self { condition, margin, coupling: None, frequencies: Vec::new() }
+    }
+
+    fn axis(condition: Condition, eigenvalues: &[Complex64]) -> Self {
+        let near = |v: &&Complex64| v.im >= 0.0 && v.re.abs() <= NEAR_AXIS * v.norm();
+        let mut frequencies: Vec<f64> = eigenvalues.iter().filter(near).map(|v| v.im).collect();
+        frequencies.sort_by(f64::total_cmp);
+        Self { condition, margin: None, coupling: None, frequencies }
+    }
 }
 
 /// Tests whether some controller reaches `gamma`.
@@ -79,37 +92,49 @@ pub(super) fn parrott_bound(plant: &NormalizedPlant) -> f64 {
 ///
 /// **Errors**: those of the Schur form; a condition that fails is an answer, not an error.
 pub(super) fn test(plant: &NormalizedPlant, gamma: f64) -> Result<Test, Error> {
-    if gamma <= parrott_bound(plant) {
-        return Ok(Test::Violated { condition: Condition::DirectTerm, margin: None });
+    let violated = |condition, margin| Ok(Test::Violated(Violation::new(condition, margin)));
+    if gamma <= plant.parrott_bound() {
+        return violated(Condition::DirectTerm, None);
     }
-    let Some((control, filter)) = ControlTerms::new(plant, gamma).zip(FilterTerms::new(plant, gamma)) else {
-        return Ok(Test::Violated { condition: Condition::DirectTerm, margin: None });
+    let Some(control) = ControlTerms::new(plant, gamma) else {
+        return violated(Condition::DirectTerm, None);
     };
-    let beyond = |condition, margin| Ok(Test::Violated { condition, margin });
     let x = match subspace(&control.a, &control.g, &control.q)? {
-        None => return beyond(Condition::ControlAxis, None),
-        Some(x) => x,
+        Subspace::Axis(eigenvalues) => {
+            return Ok(Test::Violated(Violation::axis(Condition::ControlAxis, &eigenvalues)));
+        }
+        Subspace::Stable(x) => x,
     };
-    let control_definite = definite_margin(&x);
-    if control_definite < 0.0 {
-        return beyond(Condition::ControlDefinite, Some(control_definite));
-    }
+    let Some(filter) = FilterTerms::new(plant, gamma) else {
+        return violated(Condition::DirectTerm, None);
+    };
     let y = match subspace(&filter.a, &filter.g, &filter.q)? {
-        None => return beyond(Condition::FilterAxis, None),
-        Some(y) => y,
+        Subspace::Axis(eigenvalues) => {
+            return Ok(Test::Violated(Violation::axis(Condition::FilterAxis, &eigenvalues)));
+        }
+        Subspace::Stable(y) => y,
     };
-    let filter_definite = definite_margin(&y);
-    if filter_definite < 0.0 {
-        return beyond(Condition::FilterDefinite, Some(filter_definite));
+    let (control_definite, filter_definite) = (definite_margin(&x), definite_margin(&y));
+    let coupling = match (control_definite < 0.0, filter_definite < 0.0) {
+        (true, true) => None,
+        (_, false) => extreme_of_product(&x, &y),
+        (false, true) => extreme_of_product(&y, &x),
     }
-    let radius = coupling(&x, &y);
-    let coupling = radius.map(|radius| (gamma * gamma / radius).ln());
+    .map(|extreme| 1.0 / extreme - 1.0 / (gamma * gamma));
+    let violation =
+        |condition, margin| Ok(Test::Violated(Violation { coupling, ..Violation::new(condition, margin) }));
+    if control_definite < 0.0 {
+        return violation(Condition::ControlDefinite, Some(control_definite));
+    }
+    if filter_definite < 0.0 {
+        return violation(Condition::FilterDefinite, Some(filter_definite));
+    }
     match coupling {
         Some(coupling) if coupling > 0.0 => {
             let margins = Margins { control_definite, filter_definite, coupling };
-            Ok(Test::Feasible(Box::new(Feasible { gamma, x, y, margins })))
+            Ok(Test::Feasible(Box::new(Feasible { gamma, x: *x, y: *y, margins })))
         }
-        _ => beyond(Condition::Coupling, coupling),
+        _ => violation(Condition::Coupling, coupling),
     }
 }
 
@@ -122,6 +147,16 @@ impl Feasible {
             Condition::Coupling => Some(self.margins.coupling),
             Condition::DirectTerm | Condition::ControlAxis | Condition::FilterAxis => None,
         }
+    }
+
+    /// A gamma that no controller reaches, by `rho(X Y)` here: the radius only grows as gamma becomes smaller.
+    ///
+    /// Lowered by what rounding may have done to solutions of this size; 0 where that leaves nothing.
+    pub(super) fn coupling_floor(&self) -> f64 {
+        let Margins { control_definite, filter_definite, coupling } = self.margins;
+        let slack = FLOOR_ROUNDING * f64::EPSILON * (1.0 / control_definite + 1.0 / filter_definite);
+        let floor = (1.0 - slack) / (coupling + 1.0 / (self.gamma * self.gamma)).sqrt();
+        if slack < 1.0 && floor.is_finite() { floor } else { 0.0 }
     }
 
     /// Returns the central controller of the normalized plant.
@@ -168,10 +203,10 @@ impl Feasible {
 
         let e = y1.tr_mul(&x1) - y2.tr_mul(&x2) / (gamma * gamma);
         let l = -h2 + (y1.tr_mul(&plant.b2) + h1.columns(n_zf, n_u)) * &dhat;
-        let bk = solve_equilibrated(e, l).ok_or_else(lost)?;
+        let Coordinates { to, from, bk } = coordinates(e, l).ok_or_else(lost)?;
         let seen = &plant.c2 * &x1 + f1.rows(n_wf, n_y);
-        let ak = &self.x.restriction - &bk * &seen;
-        let ck = f2 - &dhat * &seen;
+        let ck = (f2 - &dhat * &seen) * &from;
+        let ak = to * &self.x.restriction * &from - &bk * (seen * from);
         Ok(StateSpace::<Continuous>::new(ak, bk, ck, dhat)?.balanced())
     }
 
@@ -253,14 +288,11 @@ fn symmetric(m: &DMatrix<f64>) -> DMatrix<f64> {
     (m + m.transpose()) * 0.5
 }
 
-/// The stable subspace, or `None` where eigenvalues on the axis (or inseparable ones next to it) leave none.
-fn subspace(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<Option<StableSubspace>, Error> {
-    match StableSubspace::new(a, g, q) {
-        Ok(subspace) => Ok(Some(subspace)),
-        Err(telepulse_lti::Error::HamiltonianAxis { .. } | telepulse_lti::Error::SwapFailed { .. }) => {
-            Ok(None)
-        }
-        Err(error) => Err(error.into()),
+/// The stable subspace; inseparable eigenvalues next to the axis leave none either.
+fn subspace(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<Subspace, Error> {
+    match StableSubspace::search(a, g, q) {
+        Err(telepulse_lti::Error::SwapFailed { .. }) => Ok(Subspace::Axis(Vec::new())),
+        other => Ok(other?),
     }
 }
 
@@ -287,22 +319,25 @@ fn definite_margin(s: &StableSubspace) -> f64 {
     }
 }
 
-/// Spectral radius of `X Y` for positive semidefinite `X` and `Y`; `None` where one of them is infinite.
-fn coupling(x: &StableSubspace, y: &StableSubspace) -> Option<f64> {
+/// The eigenvalue of `X Y` nearest to having passed through infinity, for a positive semidefinite `Y`: the spectral radius where
+/// `X` is semidefinite too, the lowest one where `X` has gone beyond infinity; `None` where one of them is infinite.
+fn extreme_of_product(x: &StableSubspace, y: &StableSubspace) -> Option<f64> {
     if x.x1.is_empty() {
         return Some(0.0);
     }
     let (xb, yb) = (balanced_solution(x)?, balanced_solution(y)?);
     // X Y is similar to Xb W Yb W with W = Dx⁻¹ Dy⁻¹ (Y lives on the dual coordinates).
     let w = x.scaling.zip_map(&y.scaling, |dx, dy| 1.0 / (dx * dy));
-    let yw = DMatrix::from_fn(yb.nrows(), yb.ncols(), |i, j| w[i] * yb[(i, j)] * w[j]);
-    let eigen = SymmetricEigen::new(xb);
+    let xw = DMatrix::from_fn(xb.nrows(), xb.ncols(), |i, j| w[i] * xb[(i, j)] * w[j]);
+    let eigen = SymmetricEigen::new(yb);
     let mut root = eigen.eigenvectors;
     for (mut column, value) in root.column_iter_mut().zip(eigen.eigenvalues.iter()) {
         column.scale_mut(value.max(0.0).sqrt());
     }
-    let product = root.tr_mul(&(yw * &root));
-    Some(symmetric(&product).symmetric_eigenvalues().max().max(0.0))
+    let eigenvalues = symmetric(&root.tr_mul(&(xw * &root))).symmetric_eigenvalues();
+    let (lowest, highest) = (eigenvalues.min(), eigenvalues.max().max(0.0));
+    // Below rounding of zero there is nothing that has passed.
+    Some(if lowest < -PASSED * highest { lowest } else { highest })
 }
 
 fn balanced_solution(s: &StableSubspace) -> Option<DMatrix<f64>> {
@@ -310,11 +345,23 @@ fn balanced_solution(s: &StableSubspace) -> Option<DMatrix<f64>> {
     xt.iter().all(|v| v.is_finite()).then(|| symmetric(&xt))
 }
 
-/// Solves `E X = L` with rows and columns scaled to like size first.
-fn solve_equilibrated(mut e: DMatrix<f64>, mut l: DMatrix<f64>) -> Option<DMatrix<f64>> {
+/// States in which a nearly singular `E` makes few rows of the controller large instead of all.
+struct Coordinates {
+    /// New states from old, `n × n`.
+    to: DMatrix<f64>,
+    from: DMatrix<f64>,
+    /// `E⁻¹ L` in the new states.
+    bk: DMatrix<f64>,
+}
+
+/// Solves `E X = L` by singular values, after rows and columns have been scaled to like size; `None` where `E` is singular.
+///
+/// With `E = R U S Vᵀ C` (`R` and `C` diagonal) the new states are `Vᵀ C q`, in which `E⁻¹ L` is `S⁻¹ Uᵀ R⁻¹ L`: each small singular
+/// value makes one state fast, and the slow ones are not differences of large numbers.
+fn coordinates(mut e: DMatrix<f64>, mut l: DMatrix<f64>) -> Option<Coordinates> {
     let n = e.nrows();
     if n == 0 {
-        return Some(l);
+        return Some(Coordinates { to: e.clone(), from: e, bk: l });
     }
     for i in 0..n {
         let size = e.row(i).amax();
@@ -324,18 +371,32 @@ fn solve_equilibrated(mut e: DMatrix<f64>, mut l: DMatrix<f64>) -> Option<DMatri
         e.row_mut(i).unscale_mut(size);
         l.row_mut(i).unscale_mut(size);
     }
-    let mut columns = Vec::with_capacity(n);
-    for mut column in e.column_iter_mut() {
-        let size = column.amax();
-        column.unscale_mut(size);
-        columns.push(size);
+    let sizes: Vec<f64> = e.column_iter().map(|column| column.amax()).collect();
+    for (mut column, size) in e.column_iter_mut().zip(&sizes) {
+        column.unscale_mut(*size);
     }
-    let mut x = e.full_piv_lu().solve(&l)?;
-    for (mut row, size) in x.row_iter_mut().zip(columns) {
-        row.unscale_mut(size);
+    if e.iter().any(|v| !v.is_finite()) {
+        return None;
     }
-    x.iter().all(|v| v.is_finite()).then_some(x)
+    let svd = e.svd(true, true);
+    let mut to = svd.v_t?;
+    let mut from = to.transpose();
+    let mut bk = svd.u?.tr_mul(&l);
+    for (mut row, value) in bk.row_iter_mut().zip(svd.singular_values.iter()) {
+        row.unscale_mut(*value);
+    }
+    for (k, size) in sizes.iter().enumerate() {
+        to.column_mut(k).scale_mut(*size);
+        from.row_mut(k).unscale_mut(*size);
+    }
+    [&bk, &to, &from].iter().all(|m| m.iter().all(|v| v.is_finite())).then_some(Coordinates { to, from, bk })
 }
 
 /// An angle this little below zero is a zero of `X` seen through rounding.
 const ZERO_ANGLE: f64 = 1e-7;
+/// Eigenvalues this close to the axis, relative to their size, are taken for crossings that rounding has moved.
+const NEAR_AXIS: f64 = 1e-4;
+/// Units of the machine precision, times the size of the solutions, that `rho(X Y)` may be off.
+const FLOOR_ROUNDING: f64 = 1e3;
+/// Part of the largest eigenvalue of `X Y` below which a negative one is rounding.
+const PASSED: f64 = 1e-6;

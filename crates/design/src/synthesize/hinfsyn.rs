@@ -4,9 +4,10 @@ use num_complex::Complex64;
 use telepulse_lti::{Continuous, GeneralizedPlant, PeakGain, StateSpace, hinf_norm};
 
 use super::assumptions::{self, Strictness};
-use super::central_controller::{Condition, Feasible, Test, parrott_bound, test};
+use super::central_controller::{Condition, Feasible, Test, test};
 use super::controller_gain::peak_gain;
 use super::controller_speed::slowed_down;
+use super::gamma_bracket::GammaBracket;
 use super::normalized_plant::NormalizedPlant;
 use super::regularize::regularized_design;
 use crate::Error;
@@ -174,7 +175,7 @@ pub(super) fn regular_design(
 ) -> Result<HinfDesign, Error> {
     let normalized = NormalizedPlant::new(solved)?;
     assumptions::check(&normalized, Strictness::Certain)?;
-    let bracket = Bracket::find(&normalized, options)?;
+    let bracket = GammaBracket::find(solved, &normalized, options)?;
     let gamma_floor = bracket.upper.max(bracket.lower);
     let mut factor = options.backoff;
     let mut last = Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper };
@@ -257,107 +258,6 @@ fn check_options(options: &HinfOptions) -> Result<(), Error> {
     Ok(())
 }
 
-/// The smallest reachable gamma between two tested values.
-struct Bracket {
-    lower: f64,
-    upper: f64,
-    binding: Option<Condition>,
-    n_tests: usize,
-    /// How far `lower` is beyond the limit that `binding` sets, and how far `upper` is from it, where that has a measure.
-    margins: (Option<f64>, Option<f64>),
-    /// At `upper`, for another condition to ask.
-    feasible: Option<Box<Feasible>>,
-    /// Which end moved last, and how often without the other one.
-    n_lower_moves: usize,
-    n_upper_moves: usize,
-}
-
-impl Bracket {
-    fn find(plant: &NormalizedPlant, options: &HinfOptions) -> Result<Self, Error> {
-        let parrott = parrott_bound(plant);
-        let mut bracket = Self {
-            lower: parrott,
-            upper: f64::INFINITY,
-            binding: (parrott > 0.0).then_some(Condition::DirectTerm),
-            n_tests: 0,
-            margins: (None, None),
-            feasible: None,
-            n_lower_moves: 0,
-            n_upper_moves: 0,
-        };
-        // Up, by factors, until something is feasible.
-        let mut gamma = if parrott > 0.0 { 2.0 * parrott } else { FIRST_GAMMA };
-        while bracket.upper.is_infinite() {
-            bracket.try_gamma(plant, gamma.min(options.gamma_max))?;
-            if bracket.upper.is_infinite() && gamma >= options.gamma_max {
-                assumptions::check(plant, Strictness::Likely)?;
-                return Err(Error::Infeasible { gamma_max: options.gamma_max, binding: bracket.binding });
-            }
-            gamma *= GROWTH;
-        }
-        // Down, likewise, where no lower end is known yet.
-        let smallest = bracket.upper * SMALLEST_RELATIVE;
-        while bracket.lower == 0.0 && bracket.upper > smallest {
-            bracket.try_gamma(plant, bracket.upper / GROWTH)?;
-        }
-        if bracket.lower == 0.0 {
-            return Ok(bracket);
-        }
-        for _ in 0..BISECTIONS_MAX {
-            if bracket.upper <= bracket.lower * (1.0 + options.gamma_tolerance) {
-                return Ok(bracket);
-            }
-            bracket.try_gamma(plant, bracket.next_gamma(options.gamma_tolerance))?;
-        }
-        Err(Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper })
-    }
-
-    /// Where to look next: by regula falsi in the logarithm of gamma where the binding condition has a measure, else in the middle.
-    fn next_gamma(&self, tolerance: f64) -> f64 {
-        let width = (self.upper / self.lower).ln();
-        let middle = 0.5;
-        let fraction = match self.margins {
-            (Some(beyond), Some(within)) if self.n_lower_moves.max(self.n_upper_moves) < MOVES_MAX => {
-                // An end that stays is given less weight each time (Illinois rule), so that the other one gets to it.
-                let beyond = -beyond * 0.5_f64.powi(self.n_upper_moves.saturating_sub(1) as i32);
-                let within = within * 0.5_f64.powi(self.n_lower_moves.saturating_sub(1) as i32);
-                // Not nearer to an end than half of what would be near enough.
-                let near = (0.4 * tolerance / width).min(0.5);
-                (beyond / (beyond + within)).clamp(near, 1.0 - near)
-            }
-            _ => middle,
-        };
-        let fraction = if fraction.is_finite() { fraction } else { middle };
-        self.lower * (fraction * width).exp()
-    }
-
-    fn try_gamma(&mut self, plant: &NormalizedPlant, gamma: f64) -> Result<(), Error> {
-        self.n_tests += 1;
-        match test(plant, gamma)? {
-            Test::Feasible(feasible) => {
-                self.upper = gamma;
-                self.feasible = Some(feasible);
-                self.n_upper_moves += 1;
-                self.n_lower_moves = 0;
-            }
-            Test::Violated { condition, margin } => {
-                self.lower = gamma;
-                self.binding = Some(condition);
-                self.margins.0 = margin;
-                self.n_lower_moves += 1;
-                self.n_upper_moves = 0;
-            }
-        }
-        if self.n_lower_moves.max(self.n_upper_moves) > MOVES_MAX {
-            // The step in the middle has been made.
-            (self.n_lower_moves, self.n_upper_moves) = (0, 0);
-        }
-        self.margins.1 =
-            self.binding.and_then(|condition| self.feasible.as_ref().and_then(|at| at.margin(condition)));
-        Ok(())
-    }
-}
-
 /// A verified design at one gamma.
 struct Attempt {
     controller: StateSpace<Continuous>,
@@ -396,7 +296,7 @@ impl Attempt {
     ) -> Result<Self, Error> {
         let feasible: Feasible = match test(normalized, gamma)? {
             Test::Feasible(feasible) => *feasible,
-            Test::Violated { .. } => return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY }),
+            Test::Violated(_) => return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY }),
         };
         let central = feasible.controller(normalized).and_then(|central| normalized.recover(&central));
         let verified = central.and_then(|central| Self::verified(plant, central, gamma));
@@ -465,18 +365,8 @@ fn fastest_pole(sys: &StateSpace<Continuous>) -> Result<f64, telepulse_lti::Erro
     Ok(sys.poles()?.into_iter().fold(0.0, |fastest, pole| pole.norm().max(fastest)))
 }
 
-/// First gamma tried where the direct term gives no hint.
-const FIRST_GAMMA: f64 = 1.0;
-/// Factor between gammas while one end of the bracket is unknown.
-const GROWTH: f64 = 10.0;
-/// A problem that is still feasible this far below the first feasible gamma has no lower end worth finding.
-const SMALLEST_RELATIVE: f64 = 1e-12;
 /// Units of the last place of the loop's state matrix that a stable pole must be away from the axis.
 const STABLE_ROUNDING: f64 = 4.0;
-/// Moves of the same end after which the middle is tried.
-const MOVES_MAX: usize = 3;
-/// Halvings of the logarithm: a decade to `1e-12` takes 42.
-const BISECTIONS_MAX: usize = 80;
 /// Designs tried, each further from the optimum than the one before.
 const DESIGNS_MAX: usize = 12;
 /// Part of the distance from the optimum that is tried where a loop missed its gamma.

@@ -12,6 +12,7 @@ mod controller_speed;
 mod discrete;
 pub mod dk;
 mod full_information;
+mod gamma_bracket;
 mod h2syn;
 mod hinfsyn;
 mod mixed_sensitivity;

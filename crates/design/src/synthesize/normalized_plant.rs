@@ -22,6 +22,7 @@ pub(super) struct NormalizedPlant {
     y_scale: DMatrix<f64>,
     /// The direct term that was removed.
     d22: DMatrix<f64>,
+    parrott_bound: f64,
 }
 
 impl NormalizedPlant {
@@ -46,13 +47,18 @@ impl NormalizedPlant {
         // z_normalized = rotationᵀ z, w = rotation w_normalized
         let (z_rotation, u_scale) = (column.rotation, column.inverse);
         let (w_rotation, y_scale) = (row.rotation, row.inverse.transpose());
+        let d11 = z_rotation.tr_mul(&balanced.d11()) * &w_rotation;
+        let norm = |m: DMatrix<f64>| if m.is_empty() { 0.0 } else { m.singular_values().max() };
+        let (upper, left) = (d11.rows(0, n_z - n_u), d11.columns(0, n_w - n_y));
+        let parrott_bound = norm(upper.into_owned()).max(norm(left.into_owned()));
         Ok(Self {
             a: balanced.a(),
             b1: balanced.b1() * &w_rotation,
             b2: balanced.b2() * &u_scale,
             c1: z_rotation.tr_mul(&balanced.c1()),
             c2: &y_scale * balanced.c2(),
-            d11: z_rotation.tr_mul(&balanced.d11()) * &w_rotation,
+            d11,
+            parrott_bound,
             u_scale,
             y_scale,
             d22: balanced.d22(),
@@ -75,6 +81,11 @@ impl NormalizedPlant {
     /// Columns of `w` that do not reach `y` directly.
     pub(super) fn n_w_free(&self) -> usize {
         self.b1.ncols() - self.n_y()
+    }
+
+    /// Parrott's bound: the norm of `D11` that no static feedback can lower.
+    pub(super) fn parrott_bound(&self) -> f64 {
+        self.parrott_bound
     }
 
     /// The part of `D11` with the given quarter: `(false, false)` is `D1111`, `(true, false)` is `D1121`.

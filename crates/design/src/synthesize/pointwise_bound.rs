@@ -4,6 +4,14 @@ use nalgebra::DMatrix;
 use num_complex::Complex64;
 use telepulse_lti::GeneralizedPlant;
 
+/// The largest gains over some frequencies that no controller can lower.
+pub(super) struct PointwiseBound {
+    /// What `u` does not reach of `z`.
+    pub(super) control: f64,
+    /// What `y` does not see of `w`.
+    pub(super) filter: f64,
+}
+
 /// Returns the largest gain over some frequencies that no controller, stabilizing or not, can lower.
 ///
 /// **Method**: at one frequency the closed loop is `P11 + P12 Q P21` with any matrix `Q`; what `P12` does not reach on the
@@ -11,20 +19,31 @@ use telepulse_lti::GeneralizedPlant;
 ///
 /// **Accuracy**: a lower bound of the optimum; the true one over all frequencies is the limit set by the Hamiltonian
 /// matrices having no eigenvalue on the axis.
-pub(super) fn pointwise_bound(plant: &GeneralizedPlant, frequencies: &[f64]) -> f64 {
+pub(super) fn pointwise_bound(plant: &GeneralizedPlant, frequencies: &[f64]) -> PointwiseBound {
     let (n_w, n_z) = (plant.n_w(), plant.n_z());
     let (n_u, n_y) = (plant.n_u(), plant.n_y());
     if n_z <= n_u && n_w <= n_y {
-        return 0.0;
+        return PointwiseBound { control: 0.0, filter: 0.0 };
     }
     let infinity = plant.sys().d().map(|value| Complex64::new(value, 0.0));
     let finite = frequencies.iter().filter_map(|omega| plant.sys().at(*omega).ok());
-    finite.chain(std::iter::once(infinity)).fold(0.0, |bound: f64, p| {
+    let none = PointwiseBound { control: 0.0, filter: 0.0 };
+    finite.chain(std::iter::once(infinity)).fold(none, |bound, p| {
         let p11 = p.view((0, 0), (n_z, n_w)).into_owned();
         let p12 = p.view((0, n_w), (n_z, n_u)).into_owned();
         let p21 = p.view((n_z, 0), (n_y, n_w)).adjoint();
-        bound.max(unreached(&p12, &p11)).max(unreached(&p21, &p11.adjoint()))
+        PointwiseBound {
+            control: bound.control.max(unreached(&p12, &p11)),
+            filter: bound.filter.max(unreached(&p21, &p11.adjoint())),
+        }
     })
+}
+
+impl PointwiseBound {
+    /// The larger of the two.
+    pub(super) fn value(&self) -> f64 {
+        self.control.max(self.filter)
+    }
 }
 
 /// Largest singular value of the part of `target` that is orthogonal to the columns of `reach`.

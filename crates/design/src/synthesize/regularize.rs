@@ -230,7 +230,7 @@ impl Sizes {
             y_directions,
             state_weight: typical(plant.c1().norm()),
             state_disturbance: typical(plant.b1().norm()),
-            lower_bound: super::pointwise_bound::pointwise_bound(plant, &frequencies),
+            lower_bound: super::pointwise_bound::pointwise_bound(plant, &frequencies).value(),
         }
     }
 }

@@ -8,6 +8,15 @@ use crate::Error;
 use crate::lyapunov::check_symmetric;
 use crate::schur::RealSchur;
 
+/// What a Hamiltonian matrix has.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Subspace {
+    /// A stable invariant subspace of half its size.
+    Stable(Box<StableSubspace>),
+    /// Eigenvalues on the imaginary axis, as far as rounding can tell; all eigenvalues, in rad/s.
+    Axis(Vec<Complex64>),
+}
+
 /// The stable invariant subspace of a Hamiltonian matrix, `H [X1; X2] = [X1; X2] T`.
 ///
 /// The basis is orthonormal in *balanced* coordinates: with `D = diag(scaling)`, the basis in the caller's
@@ -41,6 +50,22 @@ impl StableSubspace {
     ///
     /// **Errors**: [`Error::HamiltonianAxis`], [`Error::NotSymmetric`], and those of [`RealSchur`].
     pub fn new(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<Self, Error> {
+        match Self::search(a, g, q)? {
+            Subspace::Stable(subspace) => Ok(*subspace),
+            Subspace::Axis(eigenvalues) => {
+                let nearest = eigenvalues.iter().min_by(|a, b| a.re.abs().total_cmp(&b.re.abs()));
+                let (re, omega_rad_s) = nearest.map_or((0.0, 0.0), |v| (v.re.abs(), v.im.abs()));
+                Err(Error::HamiltonianAxis { re, omega_rad_s })
+            }
+        }
+    }
+
+    /// Returns the stable subspace, or the eigenvalues of a Hamiltonian matrix that has none because some lie on the axis.
+    ///
+    /// **Shapes and units**, **Method**: as [`StableSubspace::new`].
+    ///
+    /// **Errors**: as [`StableSubspace::new`], but for [`Error::HamiltonianAxis`].
+    pub fn search(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<Subspace, Error> {
         let n = a.nrows();
         for (matrix, m) in [("a", a), ("g", g), ("q", q)] {
             if m.shape() != (n, n) {
@@ -101,21 +126,16 @@ impl StableSubspace {
 }
 
 impl Balanced {
-    fn stable_subspace(self) -> Result<StableSubspace, Error> {
+    fn stable_subspace(self) -> Result<Subspace, Error> {
         let n = self.a.nrows();
         let schur = RealSchur::new(&self.hamiltonian())?;
         let values = schur.eigenvalues();
-        let axis = |values: &[Complex64]| {
-            let nearest = values.iter().min_by(|a, b| a.re.abs().total_cmp(&b.re.abs()));
-            let (re, omega_rad_s) = nearest.map_or((0.0, 0.0), |v| (v.re.abs(), v.im.abs()));
-            Error::HamiltonianAxis { re, omega_rad_s }
-        };
         if values.iter().filter(|v| v.re < 0.0).count() != n {
-            return Err(axis(&values));
+            return Ok(Subspace::Axis(values));
         }
         let ordered = schur.order(|v| v.re < 0.0)?;
         if ordered.n_selected != n {
-            return Err(axis(&values));
+            return Ok(Subspace::Axis(values));
         }
         let form = ordered.form;
         let x1 = form.q.view((0, 0), (n, n)).into_owned();
@@ -123,12 +143,13 @@ impl Balanced {
         let product = x1.transpose() * &x2;
         let isotropy_error = (&product - product.transpose()).norm();
         if isotropy_error > ISOTROPY_TOLERANCE {
-            return Err(axis(&values));
+            return Ok(Subspace::Axis(values));
         }
         let mut poles = form.eigenvalues();
         poles.truncate(n);
         let restriction = form.t.view((0, 0), (n, n)).into_owned();
-        Ok(StableSubspace { x1, x2, scaling: self.scaling, restriction, poles, isotropy_error })
+        let scaling = self.scaling;
+        Ok(Subspace::Stable(Box::new(StableSubspace { x1, x2, scaling, restriction, poles, isotropy_error })))
     }
 }
 
