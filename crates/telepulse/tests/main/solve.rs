@@ -183,6 +183,31 @@ fn law_matrix_equations_of_one_unknown() {
 }
 
 #[test]
+fn regress_a_riccati_equation_without_a_solution_is_an_answer_in_discrete_time_too() {
+    // Once refused with exit code 2, as if the file could not be read. x = x/(1 + x) - 1 is x² + x + 1 = 0, without a real
+    // root; in continuous time -x² - 1 = 0 has none either.
+    let mut equation = json!({"A": [[1]], "B": [[1]], "Q": [[-1]], "R": [[1]], "dt": 1});
+    for (dt, place) in [(1, "unit circle"), (0, "imaginary axis")] {
+        equation["dt"] = json!(dt);
+        if dt == 0 {
+            equation["A"] = json!([[0]]);
+        }
+        let output = run("care", &equation.to_string());
+        assert_eq!(output.status.code(), Some(1), "{place}");
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(answer["status"], "infeasible", "{answer}");
+        assert!(
+            answer["X"].is_null() && answer["message"].as_str().expect("text").contains(place),
+            "{answer}"
+        );
+    }
+    // The same weights with the sign that has a solution: x² - x - 1 = 0.
+    let solvable = json!({"A": [[1]], "B": [[1]], "Q": [[1]], "R": [[1]], "dt": 1});
+    let x = solved("care", &solvable)["X"][0][0].as_f64().expect("one unknown");
+    assert!((x - 0.5 * (1.0 + 5.0_f64.sqrt())).abs() < 1e-13, "{x}");
+}
+
+#[test]
 fn law_bounds_of_mu_enclose_what_can_be_solved_by_hand() {
     let number = |answer: &Value, key: &str| answer[key].as_f64().expect("a number");
     // Two scalar blocks around [0 a; b 0]: the geometric mean. One full block: the largest singular value. A repeated scalar:

@@ -76,7 +76,7 @@ pub(super) fn design_status(error: &DesignError) -> Option<Status> {
 pub(super) fn system_status(error: &SystemError) -> Option<Status> {
     Some(match error {
         SystemError::Unstable { .. } => Status::Unstable,
-        SystemError::HamiltonianAxis { .. } => Status::Infeasible,
+        SystemError::HamiltonianAxis { .. } | SystemError::SymplecticCircle { .. } => Status::Infeasible,
         SystemError::NotStabilizable { .. } => Status::NotStabilizable,
         SystemError::LyapunovSingular { .. }
         | SystemError::SylvesterSingular { .. }
