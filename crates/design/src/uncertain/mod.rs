@@ -18,7 +18,7 @@ mod system;
 
 pub use mu_bounds::{MuBounds, mu_bounds};
 pub use mu_lower::{MuLower, MuLowerOptions};
-pub use mu_peak::{MuPeak, mu_peak};
+pub use mu_peak::{MuPeak, mu_peak, mu_peak_discrete};
 pub use mu_upper::{MuUpper, mu_upper_bound};
 pub use scalings::Scalings;
 pub use structure::{Block, BlockStructure, BlockValue, Perturbation};

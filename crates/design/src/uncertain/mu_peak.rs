@@ -3,7 +3,7 @@
 
 use nalgebra::DMatrix;
 use num_complex::Complex64;
-use telepulse_lti::{Continuous, StateSpace};
+use telepulse_lti::{Continuous, Discrete, StateSpace};
 
 use super::eigen::complex_eigenvalues;
 use super::mu_bounds::mu_bounds;
@@ -20,8 +20,13 @@ pub struct MuPeak {
     pub upper: f64,
     /// The example: a perturbation that makes the loop singular at `omega_rad_s`.
     pub lower: MuLower,
-    /// Where the upper bound is largest, in rad/s; may be infinite.
+    /// Where the example was found, in rad/s: of the three frequencies with the largest upper bounds that were looked at,
+    /// the one with the largest lower bound. Infinite where the example is one of the direct term; equal to
+    /// `upper_omega_rad_s` where `lower` is zero, without an example.
     pub omega_rad_s: f64,
+    /// Where the bound by D,G-scales binds, in rad/s: the frequency with the largest one of all that were looked at, within the
+    /// tolerance of `upper`; may be infinite.
+    pub upper_omega_rad_s: f64,
     /// Frequency intervals, each proven with one set of scales, that cover the axis.
     pub intervals: usize,
 }
@@ -87,7 +92,51 @@ pub fn mu_peak(
         }
     }
     let (omega_rad_s, lower) = found.ok_or(Error::NoUncertainBlocks)?;
-    Ok(MuPeak { upper: cover.level, lower, omega_rad_s, intervals: cover.intervals })
+    let upper_omega_rad_s = cover.seen.first().map_or(omega_rad_s, |&(omega, _)| omega);
+    Ok(MuPeak { upper: cover.level, lower, omega_rad_s, upper_omega_rad_s, intervals: cover.intervals })
+}
+
+/// Returns a proven bracket of the peak over `0 <= omega <= pi / T` of the structured singular value of a stable discrete system.
+///
+/// **Shapes**: as [`mu_peak`]; frequencies in the answer are those of the discrete system, at most `pi / T`.
+///
+/// **Method**: [`mu_peak`] of the continuous system whose bilinear image this one is: the map takes the unit circle to the imaginary
+/// axis, `omega T / 2 = atan(nu T / 2)`, and keeps the response at every point.
+///
+/// **Accuracy**: as [`mu_peak`]; poles within rounding of `-1` cost digits.
+///
+/// **Errors**: as [`mu_peak`], with the pole in the unit of the z plane.
+///
+/// **Example**
+/// ```
+/// use nalgebra::dmatrix;
+/// use telepulse_design::uncertain::{Block, BlockStructure, mu_peak_discrete};
+/// use telepulse_lti::{Discrete, SampleTime, StateSpace};
+/// // 1/(z + 0.5) is largest at z = -1.
+/// let dt = SampleTime::new(0.1)?;
+/// let sys = StateSpace::<Discrete>::new(dmatrix![-0.5], dmatrix![1.0], dmatrix![1.0], dmatrix![0.0], dt)?;
+/// let structure = BlockStructure::new(vec![Block::Full { rows: 1, cols: 1 }])?;
+/// let peak = mu_peak_discrete(&sys, &structure, 1e-4)?;
+/// assert!(peak.lower.value > 1.9999 && peak.upper < 2.0005);
+/// assert!((peak.omega_rad_s - dt.nyquist_rad_s()).abs() < 1e-9);
+/// # Ok::<(), telepulse_design::Error>(())
+/// ```
+pub fn mu_peak_discrete(
+    sys: &StateSpace<Discrete>,
+    structure: &BlockStructure,
+    tolerance: f64,
+) -> Result<MuPeak, Error> {
+    if let Some(&pole) = sys.poles()?.iter().find(|p| p.norm() >= 1.0) {
+        return Err(telepulse_lti::Error::Unstable { pole }.into());
+    }
+    let half_s = 0.5 * sys.sample_time().seconds();
+    let to_discrete = |omega_rad_s: f64| (omega_rad_s * half_s).atan() / half_s;
+    let peak = mu_peak(&sys.to_continuous_tustin()?, structure, tolerance)?;
+    Ok(MuPeak {
+        omega_rad_s: to_discrete(peak.omega_rad_s),
+        upper_omega_rad_s: to_discrete(peak.upper_omega_rad_s),
+        ..peak
+    })
 }
 
 pub(super) fn check_tolerance(value: f64) -> Result<(), Error> {

@@ -4,8 +4,10 @@ use nalgebra::{DMatrix, dmatrix};
 use num_complex::Complex64;
 use rand::{RngExt, SeedableRng};
 use telepulse_design::Error;
-use telepulse_design::uncertain::{Block, BlockStructure, UncertainSystem, mu_peak};
-use telepulse_lti::{Continuous, StateSpace, hinf_norm};
+use telepulse_design::uncertain::{
+    Block, BlockStructure, MuLowerOptions, UncertainSystem, mu_bounds, mu_peak, mu_peak_discrete,
+};
+use telepulse_lti::{Continuous, Discrete, SampleTime, StateSpace, hinf_norm};
 
 fn structure(blocks: &[Block]) -> BlockStructure {
     BlockStructure::new(blocks.to_vec()).expect("blocks with ports")
@@ -142,4 +144,76 @@ fn edge_an_unstable_or_misfitting_system_is_refused() {
         mu_peak(&StateSpace::<Continuous>::from_gain(dmatrix![0.5]).expect("valid"), &s, f64::NAN).is_err()
     );
     assert!(UncertainSystem::new(unstable, s).is_err());
+}
+
+/// `I - M Delta` at a frequency: its smallest singular value.
+fn distance_to_singular(m: &DMatrix<Complex64>, delta: &DMatrix<Complex64>) -> f64 {
+    (DMatrix::identity(m.nrows(), m.nrows()) - m * delta).singular_values().min()
+}
+
+#[test]
+fn law_the_frequency_of_a_peak_is_that_of_its_example() {
+    for blocks in [
+        [Block::Full { rows: 1, cols: 1 }, Block::Full { rows: 1, cols: 1 }],
+        [Block::RepeatedReal { size: 1 }, Block::Full { rows: 1, cols: 1 }],
+    ] {
+        let (sys, s) = (resonance(0.02), structure(&blocks));
+        let peak = mu_peak(&sys, &s, 1e-3).expect("proven");
+        let delta = peak.lower.perturbation.as_ref().expect("found").matrix(&s).expect("fits");
+        let m = sys.at(peak.omega_rad_s).expect("no pole on the axis");
+        // A search to 1e-7 of the bounds, on matrices of size one.
+        assert!(distance_to_singular(&m, &delta) < 1e-6, "{peak:?}");
+        let binding = sys.at(peak.upper_omega_rad_s).expect("no pole on the axis");
+        let bound = telepulse_design::uncertain::mu_upper_bound(&binding, &s).expect("finite").value;
+        assert!(bound <= peak.upper * (1.0 + 1e-9) && bound >= peak.upper / 1.0011, "{bound} {peak:?}");
+    }
+}
+
+#[test]
+fn law_a_sampled_peak_holds_on_a_grid_of_the_unit_circle_and_has_its_example_there() {
+    let dt = SampleTime::new(0.02).expect("positive");
+    let s = structure(&[Block::RepeatedReal { size: 1 }, Block::Full { rows: 1, cols: 1 }]);
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(17);
+    for case in 0..20 {
+        // Poles within 0.95: a rotation and a real one, mixed by a random similarity.
+        let (radius, turn): (f64, f64) = (rng.random_range(0.3..0.95), rng.random_range(0.1..3.0));
+        let (re, im) = (radius * turn.cos(), radius * turn.sin());
+        let poles = dmatrix![re, im, 0.0; -im, re, 0.0; 0.0, 0.0, rng.random_range(-0.9..0.9)];
+        let mut part = |rows, cols| DMatrix::<f64>::from_fn(rows, cols, |_, _| rng.random_range(-1.0..1.0));
+        let mix = DMatrix::identity(3, 3) + part(3, 3) * 0.25;
+        let a = mix.clone() * poles * mix.try_inverse().expect("near the identity");
+        let sys = StateSpace::<Discrete>::new(a, part(3, 2), part(2, 3), part(2, 2), dt).expect("consistent");
+        let peak = mu_peak_discrete(&sys, &s, 1e-3).expect("proven");
+        let mut seen = 0.0_f64;
+        for k in 0..=500 {
+            let omega = dt.nyquist_rad_s() * f64::from(k) / 500.0;
+            let found = mu_bounds(&sys.at(omega).expect("stable"), &s, &MuLowerOptions::default());
+            seen = seen.max(found.expect("finite").lower.value);
+        }
+        // What an example shows, no proof may deny.
+        assert!(seen <= peak.upper * (1.0 + 1e-9), "seed 17 case {case}: {seen} {peak:?}");
+        assert!((0.0..=dt.nyquist_rad_s() * (1.0 + 1e-12)).contains(&peak.omega_rad_s));
+        if let Some(example) = &peak.lower.perturbation {
+            let m = sys.at(peak.omega_rad_s).expect("stable");
+            let distance = distance_to_singular(&m, &example.matrix(&s).expect("fits"));
+            assert!(distance < 1e-6, "seed 17 case {case}: {distance} {peak:?}");
+        }
+    }
+}
+
+#[test]
+fn edge_a_sampled_system_with_a_pole_on_the_unit_circle_is_refused_with_it() {
+    let dt = SampleTime::new(0.1).expect("positive");
+    let s = structure(&[Block::Full { rows: 1, cols: 1 }]);
+    for pole in [1.0, -1.0, 1.5] {
+        let sys =
+            StateSpace::<Discrete>::new(dmatrix![pole], dmatrix![1.0], dmatrix![1.0], dmatrix![0.0], dt)
+                .expect("consistent");
+        match mu_peak_discrete(&sys, &s, 1e-3) {
+            Err(Error::System(telepulse_lti::Error::Unstable { pole: found })) => {
+                assert_eq!(found, Complex64::new(pole, 0.0));
+            }
+            other => panic!("{pole}: {other:?}"),
+        }
+    }
 }
