@@ -231,6 +231,114 @@ fn law_bounds_of_mu_enclose_what_can_be_solved_by_hand() {
 }
 
 #[test]
+fn law_the_peak_of_mu_is_proven_between_frequencies_and_has_its_place() {
+    let number = |answer: &Value, key: &str| answer[key].as_f64().expect("a number");
+    // One full block: the peak of |1/(s² + 2 zeta s + 1)|, 1/(2 zeta sqrt(1 - zeta²)), whose width is 1e-4 of the axis.
+    let zeta = 5e-5_f64;
+    let mut lag = json!({"A": [[0, 1], [-1, -2.0 * zeta]], "B": [[0], [1]], "C": [[1, 0]], "D": [[0]], "blocks": [[1, 1]]});
+    let exact = 1.0 / (2.0 * zeta * (1.0 - zeta * zeta).sqrt());
+    let answer = solved("mu", &lag);
+    let (lower, upper) = (number(&answer, "lower"), number(&answer, "upper"));
+    assert!(lower <= exact * (1.0 + 1e-9) && exact <= upper * (1.0 + 1e-9), "{answer}");
+    // The default tolerance is 1e-3, and both ends have it.
+    assert!(upper / lower < 1.002, "{answer}");
+    assert!((number(&answer, "omega_rad_s") - 1.0).abs() < 1e-4, "{answer}");
+    assert!((number(&answer, "upper_omega_rad_s") - 1.0).abs() < 1e-4, "{answer}");
+    assert!(answer["intervals"].as_u64().expect("a count") >= 1);
+    // The example: 1 - g delta = 0 at that frequency, so delta = 1 - w² + 2 j zeta w.
+    let w = number(&answer, "omega_rad_s");
+    let delta = |part: &str| answer["perturbation"][0][part][0][0].as_f64().expect("one block");
+    // Rounding of a response of 1e4 against a delta of 1e-4.
+    assert!(
+        (delta("re") - (1.0 - w * w)).abs() < 1e-11 && (delta("im") - 2.0 * zeta * w).abs() < 1e-11,
+        "{answer}"
+    );
+    // A real parameter only sees the gain at rest, where the response is real.
+    lag["blocks"] = json!([[-1, 0]]);
+    let answer = solved("mu", &lag);
+    assert!(number(&answer, "upper") >= 1.0 && number(&answer, "upper") < 1.01, "{answer}");
+    assert!(
+        (number(&answer, "lower") - 1.0).abs() < 1e-9 && number(&answer, "omega_rad_s") == 0.0,
+        "{answer}"
+    );
+    // [0 4; 1 0]/(s + 1) between two scalars: the geometric mean at rest. A finer proof on request.
+    let pair = json!({"A": [[-1, 0], [0, -1]], "B": [[1, 0], [0, 1]], "C": [[0, 4], [1, 0]], "blocks": [[1, 1], [1, 1]],
+        "options": {"tolerance": 1e-5}});
+    let answer = solved("mu", &pair);
+    assert!(number(&answer, "upper") >= 2.0 && number(&answer, "upper") < 2.0 * (1.0 + 1.1e-5), "{answer}");
+    assert!((number(&answer, "lower") - 2.0).abs() < 1e-6, "{answer}");
+    // Without states the peak is everywhere, and that of a matrix.
+    let gain =
+        json!({"A": [], "B": [], "C": [[], []], "D": [[0, 9], [1, 0]], "n": 0, "blocks": [[1, 1], [1, 1]]});
+    assert!((number(&solved("mu", &gain), "lower") - 3.0).abs() < 1e-6);
+    // The form with one matrix has no place.
+    let matrix = solved("mu", &json!({"M": [[1]], "blocks": [[1, 1]]}));
+    assert!(matrix.get("omega_rad_s").is_none() && matrix.get("intervals").is_none(), "{matrix}");
+}
+
+#[test]
+fn law_the_peak_of_mu_of_a_sampled_system_is_found_up_to_its_nyquist_frequency() {
+    let number = |answer: &Value, key: &str| answer[key].as_f64().expect("a number");
+    // 1/(z + 0.5) is 2 at z = -1; 1/(z - 0.5) is 2 at z = 1; s/(s + 1) in continuous time is 1 at infinity only.
+    for (pole, omega) in [(-0.5, std::f64::consts::PI / 0.01), (0.5, 0.0)] {
+        let sampled = json!({"A": [[pole]], "B": [[1]], "C": [[1]], "dt": 0.01, "blocks": [[1, 1]]});
+        let answer = solved("mu", &sampled);
+        assert!(
+            (number(&answer, "lower") - 2.0).abs() < 1e-6 && number(&answer, "upper") < 2.005,
+            "{answer}"
+        );
+        assert!((number(&answer, "omega_rad_s") - omega).abs() < 1e-6 * (1.0 + omega), "{answer}");
+    }
+    let high = json!({"A": [[-1]], "B": [[1]], "C": [[-1]], "D": [[1]], "blocks": [[1, 1]]});
+    let answer = solved("mu", &high);
+    assert!((number(&answer, "lower") - 1.0).abs() < 1e-6, "{answer}");
+    assert!(answer["omega_rad_s"].is_null() && answer["upper_omega_rad_s"].is_null(), "{answer}");
+    assert!(!answer["perturbation"].is_null(), "{answer}");
+    // Unstable in one time and not in the other.
+    for (pole, dt, pole_named) in [(0.5, 0.0, "0.5"), (-2.0, 0.1, "-2")] {
+        let unstable = json!({"A": [[pole]], "B": [[1]], "C": [[1]], "dt": dt, "blocks": [[1, 1]]});
+        let output = run("mu", &unstable.to_string());
+        assert_eq!(output.status.code(), Some(1));
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(answer["status"], "unstable", "{answer}");
+        assert!(
+            answer["upper"].is_null() && answer["message"].as_str().expect("text").contains(pole_named),
+            "{answer}"
+        );
+    }
+}
+
+#[test]
+fn edge_a_system_that_does_not_fit_its_blocks_is_refused_with_key_and_sizes() {
+    let system = |key: &str, value: Value| {
+        let mut system = json!({"A": [[-1]], "B": [[1, 0]], "C": [[1], [0]], "D": [[0, 0], [0, 0]], "blocks": [[1, 1], [1, 1]]});
+        system[key] = value;
+        system.to_string()
+    };
+    refused("mu", &system("B", json!([[1]])), &["`B`", "1 (n) x 2 (w of `blocks`), found 1 x 1"]);
+    refused("mu", &system("C", json!([[1], [0], [0]])), &["`C`", "2 (z of `blocks`) x 1 (n), found 3 x 1"]);
+    refused(
+        "mu",
+        &system("D", json!([[0, 0]])),
+        &["`D`", "2 (z of `blocks`) x 2 (w of `blocks`), found 1 x 2"],
+    );
+    refused("mu", &system("A", json!([[-1, 0]])), &["`A`", "1 x 2"]);
+    refused("mu", &system("A", json!([["x"]])), &["`A`", "row 0, column 0", "\"x\""]);
+    refused("mu", &system("B", Value::Null), &["`B`", "missing"]);
+    refused("mu", &system("blocks", Value::Null), &["`blocks`", "missing"]);
+    refused("mu", &system("blocks", json!([[1.5, 1]])), &["`blocks`", "block 0", "1.5"]);
+    refused("mu", &system("blocks", json!([[1, 1, 1]])), &["`blocks`", "1 x 3"]);
+    refused("mu", &system("m", json!(3)), &["`m`", "expected 2 by `blocks`, found 3"]);
+    refused("mu", &system("p", json!(1)), &["`p`", "expected 2 by `blocks`, found 1"]);
+    refused("mu", &system("dt", json!(-0.1)), &["`dt`", "-0.1"]);
+    refused("mu", &system("M", json!([[1]])), &["`M`", "beside a system"]);
+    refused("mu", &system("M_imaginary", json!([[1]])), &["`M_imaginary`", "beside a system"]);
+    refused("mu", &system("options", json!({"tolerance": 0})), &["`tolerance`", "0.000001 to 1, found 0"]);
+    refused("mu", &system("options", json!({"tolerence": 0.1})), &["`tolerence`", "tolerance"]);
+    refused("mu", "{\"blocks\": [[1, 1]]}", &["`M`", "missing", "`A`, `B`, `C`, `D`"]);
+}
+
+#[test]
 fn law_a_reduced_system_keeps_its_bound() {
     // 1/(s + 1) + 1/(s + 100): the fast mode has the Hankel singular value near 1/200.
     let sys = json!({"A": [[-1, 0], [0, -100]], "B": [[1], [1]], "C": [[1, 1]], "D": [[0]]});

@@ -61,7 +61,12 @@ pub(super) struct SystemParts {
 impl SystemParts {
     /// `A`, `B`, `C`, `D` and `dt`; sizes from `n`, `m`, `p` where they are given, else from the matrices.
     pub(super) fn read(file: &ProblemFile) -> Result<Self> {
-        let (n, m, p) = (file.size("n")?, file.size("m")?, file.size("p")?);
+        Self::read_with_ports(file, file.size("m")?, file.size("p")?)
+    }
+
+    /// The same with numbers of inputs and outputs that something else tells.
+    pub(super) fn read_with_ports(file: &ProblemFile, m: Size, p: Size) -> Result<Self> {
+        let n = file.size("n")?;
         let a = file.matrix("A", n, n)?;
         let n = Size { value: Some(a.nrows()), ..n };
         let b = match file.optional_matrix("B", n, m)? {

@@ -40,7 +40,7 @@ enum Problem {
     Care,
     /// Lyapunov equation A, Q, or Sylvester equation A, B, C; discrete with dt.
     Lyap,
-    /// Bounds of the structured singular value of M, M_imaginary for blocks.
+    /// Bounds of the structured singular value of M, M_imaginary for blocks; of its peak for A, B, C, D, discrete with dt.
     Mu,
     /// A system A, B, C, D with fewer states; discrete with dt.
     Reduce,
