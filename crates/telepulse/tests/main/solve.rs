@@ -6,6 +6,7 @@
 use std::io::Write;
 use std::process::{Command, Output, Stdio};
 
+use num_complex::Complex64;
 use serde_json::{Value, json};
 
 /// Runs `telepulse solve PROBLEM - --json` on a problem given through standard input.
@@ -391,6 +392,114 @@ fn law_pid_settings_keep_their_limits_by_a_grid_of_its_own() {
     assert!((answer["settings"]["p"].as_f64().expect("a number") - 1.0).abs() < 1e-12, "{answer}");
     assert!((answer["settings"]["i_per_s"].as_f64().expect("a number") - 1.0).abs() < 1e-12, "{answer}");
     refused("pid", "{\"numerator\": [1, 0, 0], \"denominator\": [1, 1]}", &["`denominator`"]);
+}
+
+/// `C(j w) / (j w + 1)³` with the delay, by the formula of the settings.
+fn loop_of_three_lags(answer: &Value, omega: f64, delay_s: f64) -> Complex64 {
+    let gain = |key: &str| answer["settings"][key].as_f64().expect("a number");
+    let s = Complex64::new(0.0, omega);
+    let derivative = if gain("d_s") == 0.0 {
+        Complex64::ZERO
+    } else {
+        gain("d_s") * gain("n_rad_s") * s / (s + gain("n_rad_s"))
+    };
+    let integral = if gain("i_per_s") == 0.0 { Complex64::ZERO } else { gain("i_per_s") / s };
+    (gain("p") + integral + derivative) * (-s * delay_s).exp() / (s + 1.0).powi(3)
+}
+
+fn three_lags(options: &Value) -> Value {
+    json!({"numerator": [1], "denominator": [1, 3, 3, 1], "delay_s": 0.2, "options": options})
+}
+
+#[test]
+fn law_pid_by_phase_margin_crosses_where_and_as_it_is_told() {
+    for (structure, omega) in [("pi", 0.4), ("pd", 1.2), ("pid", 0.9), ("pidf", 0.9)] {
+        for focus in ["balanced", "reference", "disturbance"] {
+            let answer = solved(
+                "pid",
+                &three_lags(&json!({"method": "phase_margin", "structure": structure, "focus": focus,
+                    "crossover_rad_s": omega, "phase_margin_deg": 50, "filter_ratio": 40, "ms_max": 2})),
+            );
+            let found = loop_of_three_lags(&answer, omega, 0.2);
+            // e^{j (50 - 180) degrees}; rounding alone is between them.
+            let wanted = Complex64::from_polar(1.0, (-130.0_f64).to_radians());
+            assert!((found - wanted).norm() < 1e-9, "{structure} {focus}: {answer}");
+            assert_eq!(answer["crossover_rad_s"], omega);
+            let n_rad_s = answer["settings"]["n_rad_s"].as_f64().expect("a number");
+            match structure {
+                "pi" => assert_eq!(answer["settings"]["d_s"], 0.0),
+                "pidf" => assert!(n_rad_s <= 40.0 * omega * (1.0 + 1e-12), "{answer}"),
+                _ => assert!((n_rad_s / (40.0 * omega) - 1.0).abs() < 1e-12, "{answer}"),
+            }
+            assert!(answer.get("binding").is_none());
+        }
+    }
+    // One term only crosses where it is told, with the margin or more.
+    for (structure, omega) in [("p", 0.4), ("i", 0.1)] {
+        let options = json!({"method": "phase_margin", "structure": structure, "crossover_rad_s": omega});
+        let found = loop_of_three_lags(&solved("pid", &three_lags(&options)), omega, 0.2);
+        assert!(
+            (found.norm() - 1.0).abs() < 1e-9 && found.arg().to_degrees() > -120.0,
+            "{structure}: {found}"
+        );
+    }
+}
+
+#[test]
+fn law_pid_by_phase_margin_chooses_a_crossover_within_the_peak_of_s() {
+    let options =
+        json!({"method": "phase_margin", "structure": "pid", "phase_margin_deg": 55, "ms_max": 1.6});
+    let answer = solved("pid", &three_lags(&options));
+    let mut peak = 0.0_f64;
+    for k in 0..4000 {
+        let omega = 10f64.powf(-3.0 + f64::from(k) * 0.0015);
+        let open = loop_of_three_lags(&answer, omega, 0.2);
+        peak = peak.max((1.0 + open).norm().recip());
+        // Where the gain is one to a grid step's slope, the phase is 55 degrees or more above -180.
+        if (open.norm().ln()).abs() < 1e-3 {
+            assert!(180.0 - open.arg().to_degrees().abs() > 54.8, "{omega}: {answer}");
+        }
+    }
+    assert!(peak <= 1.6 && peak > 1.2, "{peak}: {answer}");
+    let crossover = answer["crossover_rad_s"].as_f64().expect("chosen");
+    assert!((loop_of_three_lags(&answer, crossover, 0.2).norm() - 1.0).abs() < 1e-9, "{answer}");
+}
+
+#[test]
+fn edge_a_margin_out_of_reach_is_infeasible_and_a_wrong_option_is_refused() {
+    let unstable = |options: Value| json!({"numerator": [1], "denominator": [1, -1], "delay_s": 0.9, "options": options});
+    for (problem, part) in [
+        // A PI controller gives no lead: three lags are at -253 degrees there.
+        (three_lags(&json!({"method": "phase_margin", "crossover_rad_s": 10})), "within reach"),
+        // Three lags at 1 rad/s leave 45 degrees less the delay's 11.
+        (three_lags(&json!({"method": "phase_margin", "structure": "p", "crossover_rad_s": 1})), "33.5"),
+        (unstable(json!({"method": "phase_margin"})), "no crossover"),
+    ] {
+        let output = run("pid", &problem.to_string());
+        assert_eq!(output.status.code(), Some(1), "{part}: {}", String::from_utf8_lossy(&output.stderr));
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(answer["status"], "infeasible", "{answer}");
+        assert!(
+            answer["settings"].is_null() && answer["message"].as_str().expect("text").contains(part),
+            "{answer}"
+        );
+    }
+    let options = |key: &str, value: Value| {
+        let mut options = json!({"method": "phase_margin"});
+        options[key] = value;
+        three_lags(&options).to_string()
+    };
+    refused("pid", &options("focus", json!("speed")), &["`focus`", "`reference`"]);
+    refused("pid", &options("structure", json!("pii")), &["`structure`", "`pidf`"]);
+    refused("pid", &options("phase_margin_deg", json!(200)), &["phase_margin_deg", "200", "0 and 180"]);
+    refused("pid", &options("filter_ratio", json!(0.5)), &["filter_ratio", "0.5", "above 1"]);
+    refused("pid", &options("ms_max", json!(1)), &["ms_max", "above 1"]);
+    refused("pid", &options("crossover_rad_s", json!(-1)), &["crossover_rad_s", "-1", "above 0"]);
+    refused("pid", &options("crossover_rad_s", json!("1")), &["`crossover_rad_s`", "expected a number"]);
+    refused("pid", &options("mt_max", json!(2)), &["`mt_max`", "no meaning", "`phase_margin`"]);
+    refused("pid", &options("method", json!("margin")), &["`method`", "`phase_margin`"]);
+    let other = three_lags(&json!({"method": "simc", "focus": "reference"}));
+    refused("pid", &other.to_string(), &["`focus`", "no meaning", "`simc`"]);
 }
 
 #[test]

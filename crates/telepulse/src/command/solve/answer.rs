@@ -63,6 +63,9 @@ pub(super) fn design_status(error: &DesignError) -> Option<Status> {
         | DesignError::PidGainUnbounded { .. }
         | DesignError::PidPlantZeroAtOrigin
         | DesignError::PidHalfRule { .. }
+        | DesignError::PidPhaseOutOfReach { .. }
+        | DesignError::PidMarginNotMet { .. }
+        | DesignError::PidNoCrossover { .. }
         | DesignError::PidLoopNeutral { .. }
         | DesignError::PidLoopUnstable { .. } => Status::Infeasible,
         DesignError::PidStabilityUncertain { .. } => Status::IllConditioned,

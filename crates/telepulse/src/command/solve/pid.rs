@@ -5,8 +5,8 @@ use serde::Serialize;
 use telepulse_design::Error;
 use telepulse_design::implement::PidSettings;
 use telepulse_design::synthesize::pid::{
-    DelayedPlant, PidLimit, PidLimits, PidLoopCheck, PidStructure, RuleTerms, SimcOptions,
-    maximize_integral_gain, tune_simc,
+    DelayedPlant, DesignFocus, MarginTarget, MarginTerms, PidLimit, PidLimits, PidLoopCheck, PidStructure,
+    RuleTerms, SimcOptions, maximize_integral_gain, tune_phase_margin, tune_simc,
 };
 use telepulse_lti::TransferFunction;
 
@@ -24,11 +24,14 @@ pub(super) struct PidAnswer {
     /// Limits that hold the integral gain back; method `max_ki` only.
     #[serde(skip_serializing_if = "Option::is_none")]
     binding: Option<Vec<PidLimit>>,
+    /// Crossover that was asked for or chosen, in rad/s; method `phase_margin` only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    crossover_rad_s: Option<f64>,
     message: String,
     seconds: f64,
 }
 
-const OPTIONS: [&str; 9] = [
+const OPTIONS: [&str; 12] = [
     "method",
     "structure",
     "derivative_filter_rad_s",
@@ -38,12 +41,19 @@ const OPTIONS: [&str; 9] = [
     "ws",
     "closed_loop_time_s",
     "filter_ratio",
+    "crossover_rad_s",
+    "phase_margin_deg",
+    "focus",
 ];
 
 pub(super) fn solve(file: &ProblemFile) -> Result<PidAnswer> {
     let delay_s = file.number("delay_s")?.unwrap_or(0.0);
     let plant = DelayedPlant::new(transfer_function(file)?, delay_s)?;
-    let method = Method::read(&file.options(&OPTIONS)?)?;
+    let options = file.options(&OPTIONS)?;
+    let method = Method::read(&options)?;
+    if let Some(key) = options.unread().first() {
+        return Err(options.complaint(key, &format!("has no meaning with method `{}`", method.name())));
+    }
     let watch = Watch::start();
     let outcome = method.apply(&plant);
     let seconds = watch.seconds();
@@ -51,8 +61,15 @@ pub(super) fn solve(file: &ProblemFile) -> Result<PidAnswer> {
         Ok(answer) => Ok(PidAnswer { seconds, ..answer }),
         Err(error) => {
             let Some(status) = design_status(&error) else { return Err(error.into()) };
-            let (settings, check, binding) = (None, None, None);
-            Ok(PidAnswer { status, settings, check, binding, message: error.to_string(), seconds })
+            Ok(PidAnswer {
+                status,
+                settings: None,
+                check: None,
+                binding: None,
+                crossover_rad_s: None,
+                message: error.to_string(),
+                seconds,
+            })
         }
     }
 }
@@ -69,40 +86,15 @@ fn transfer_function(file: &ProblemFile) -> Result<TransferFunction> {
 enum Method {
     MaximumIntegralGain(PidStructure, PidLimits),
     Simc(RuleTerms, SimcOptions),
+    PhaseMargin(MarginTerms, MarginTarget),
 }
 
 impl Method {
     fn read(typed: &ProblemFile) -> Result<Self> {
-        let with_derivative = match typed.word("structure")? {
-            None | Some("pi") => false,
-            Some("pid") => true,
-            Some(_) => return Err(typed.complaint("structure", "expected `pi` or `pid`")),
-        };
         match typed.word("method")? {
-            None | Some("max_ki") => {
-                let structure = match (with_derivative, typed.number("derivative_filter_rad_s")?) {
-                    (false, _) => PidStructure::Pi,
-                    (true, Some(n_rad_s)) => PidStructure::Pid { n_rad_s },
-                    (true, None) => {
-                        let what =
-                            "is missing: method `max_ki` takes the pole of the derivative filter as given";
-                        return Err(typed.complaint("derivative_filter_rad_s", what));
-                    }
-                };
-                let default = PidLimits::default();
-                let limits = PidLimits {
-                    ms_max: typed.number("ms_max")?.unwrap_or(default.ms_max),
-                    mt_max: typed.number("mt_max")?.unwrap_or(default.mt_max),
-                    ks_max: typed.number("ks_max")?,
-                    ws: typed
-                        .part("ws", &["numerator", "denominator"])?
-                        .map(|ws| transfer_function(&ws))
-                        .transpose()?,
-                };
-                Ok(Self::MaximumIntegralGain(structure, limits))
-            }
+            None | Some("max_ki") => Self::read_maximum_integral_gain(typed),
             Some("simc") => {
-                let terms = if with_derivative { RuleTerms::Pid } else { RuleTerms::Pi };
+                let terms = if has_derivative(typed)? { RuleTerms::Pid } else { RuleTerms::Pi };
                 let default = SimcOptions::default();
                 let options = SimcOptions {
                     closed_loop_time_s: typed.number("closed_loop_time_s")?,
@@ -110,7 +102,70 @@ impl Method {
                 };
                 Ok(Self::Simc(terms, options))
             }
-            Some(_) => Err(typed.complaint("method", "expected `max_ki` or `simc`")),
+            Some("phase_margin") => Self::read_phase_margin(typed),
+            Some(_) => Err(typed.complaint("method", "expected `max_ki`, `simc` or `phase_margin`")),
+        }
+    }
+
+    fn read_maximum_integral_gain(typed: &ProblemFile) -> Result<Self> {
+        let structure = match (has_derivative(typed)?, typed.number("derivative_filter_rad_s")?) {
+            (false, _) => PidStructure::Pi,
+            (true, Some(n_rad_s)) => PidStructure::Pid { n_rad_s },
+            (true, None) => {
+                let what = "is missing: method `max_ki` takes the pole of the derivative filter as given";
+                return Err(typed.complaint("derivative_filter_rad_s", what));
+            }
+        };
+        let default = PidLimits::default();
+        let limits = PidLimits {
+            ms_max: typed.number("ms_max")?.unwrap_or(default.ms_max),
+            mt_max: typed.number("mt_max")?.unwrap_or(default.mt_max),
+            ks_max: typed.number("ks_max")?,
+            ws: typed
+                .part("ws", &["numerator", "denominator"])?
+                .map(|ws| transfer_function(&ws))
+                .transpose()?,
+        };
+        Ok(Self::MaximumIntegralGain(structure, limits))
+    }
+
+    fn read_phase_margin(typed: &ProblemFile) -> Result<Self> {
+        let terms = match typed.word("structure")? {
+            Some("p") => MarginTerms::P,
+            Some("i") => MarginTerms::I,
+            None | Some("pi") => MarginTerms::Pi,
+            Some("pd") => MarginTerms::Pd,
+            Some("pid") => MarginTerms::Pid,
+            Some("pidf") => MarginTerms::Pidf,
+            Some(_) => {
+                return Err(typed.complaint("structure", "expected `p`, `i`, `pi`, `pd`, `pid` or `pidf`"));
+            }
+        };
+        let focus = match typed.word("focus")? {
+            None | Some("balanced") => DesignFocus::Balanced,
+            Some("reference") => DesignFocus::Reference,
+            Some("disturbance") => DesignFocus::Disturbance,
+            Some(_) => {
+                return Err(typed.complaint("focus", "expected `balanced`, `reference` or `disturbance`"));
+            }
+        };
+        let default = MarginTarget::default();
+        let target = MarginTarget {
+            crossover_rad_s: typed.number("crossover_rad_s")?,
+            phase_margin_deg: typed.number("phase_margin_deg")?.unwrap_or(default.phase_margin_deg),
+            filter_ratio: typed.number("filter_ratio")?.unwrap_or(default.filter_ratio),
+            ms_max: typed.number("ms_max")?.unwrap_or(default.ms_max),
+            focus,
+        };
+        Ok(Self::PhaseMargin(terms, target))
+    }
+
+    /// As the file has it.
+    fn name(&self) -> &'static str {
+        match self {
+            Self::MaximumIntegralGain(..) => "max_ki",
+            Self::Simc(..) => "simc",
+            Self::PhaseMargin(..) => "phase_margin",
         }
     }
 
@@ -120,6 +175,7 @@ impl Method {
             settings: Some(settings),
             check: Some(check),
             binding: None,
+            crossover_rad_s: None,
             message: "negative feedback: u = C (r - y)".to_owned(),
             seconds: 0.0,
         };
@@ -138,7 +194,21 @@ impl Method {
                     ..solved(design.settings, design.check)
                 }
             }
+            Self::PhaseMargin(terms, target) => {
+                let design = tune_phase_margin(plant, *terms, target)?;
+                let crossover_rad_s = Some(design.crossover_rad_s);
+                PidAnswer { crossover_rad_s, ..solved(design.settings, design.check) }
+            }
         })
+    }
+}
+
+/// `structure` of the methods that know two.
+fn has_derivative(typed: &ProblemFile) -> Result<bool> {
+    match typed.word("structure")? {
+        None | Some("pi") => Ok(false),
+        Some("pid") => Ok(true),
+        Some(_) => Err(typed.complaint("structure", "expected `pi` or `pid`")),
     }
 }
 
