@@ -21,7 +21,8 @@ pub struct PrecisionReport {
     /// not in it. `None` where one of the two systems is not stable, and in double precision, where coefficients are not
     /// rounded once more.
     pub coefficient_error: Option<PeakGain>,
-    /// Largest of `|K_rounded - K| / |K|` over the frequencies examined, each relative to the response there.
+    /// Largest of `|K_rounded - K| / |K|` over the frequencies examined, each relative to the response there. The change of form, computed in
+    /// double precision, is in it.
     pub coefficient_error_pointwise: f64,
     /// The frequency in rad/s at which it is found.
     pub worst_omega_rad_s: f64,
@@ -34,18 +35,27 @@ pub struct PrecisionReport {
 }
 
 impl PrecisionReport {
-    /// What forms are ranked by: the coefficient error at the worst frequency (its bound in double precision) plus the noise.
-    /// Infinite where rounding made a stable system unstable.
+    /// The error of the response to be expected at the worst frequency, relative to the response there: no smaller than the one found.
+    ///
+    /// In single precision that is the error of the rounded coefficients itself. In double precision the computed coefficients are those
+    /// that run, and their error is the larger of two: the first-order bound, which is for a rounding in the worst direction, and what the
+    /// change of form has already cost, which that bound does not know where the form is reached by an ill-conditioned computation.
+    #[must_use]
+    pub fn predicted_error(&self) -> f64 {
+        match self.precision {
+            Precision::Single => self.coefficient_error_pointwise,
+            Precision::Double => self.coefficient_bound_pointwise.max(self.coefficient_error_pointwise),
+        }
+    }
+
+    /// What forms are ranked by: [`predicted_error`](Self::predicted_error) plus the noise. Infinite where rounding made a stable system
+    /// unstable.
     #[must_use]
     pub fn score(&self, system_is_stable: bool) -> f64 {
         if system_is_stable && !self.stable_when_rounded {
             return f64::INFINITY;
         }
-        let coefficients = match self.precision {
-            Precision::Single => self.coefficient_error_pointwise,
-            Precision::Double => self.coefficient_bound_pointwise,
-        };
-        coefficients + self.roundoff_noise.unwrap_or(0.0)
+        self.predicted_error() + self.roundoff_noise.unwrap_or(0.0)
     }
 }
 
