@@ -317,6 +317,9 @@ pub enum Error {
     /// A recipe controls another quantity than its model describes.
     #[error("the recipe controls another quantity than the certified model describes")]
     ControlledMismatch,
+    /// Set-point weights of a law that has no parts to weigh.
+    #[error("set-point weights (`setpoint_weights`) belong to a PID controller, found a state-space law")]
+    WeightsWithoutPid,
     /// A certified recipe's feedforward is not the one of its model.
     #[error(
         "the feedforward of the recipe is not the preview filter of the certified model: it was changed, or made for another plant"

@@ -25,6 +25,6 @@ pub use preview::{
 pub use realize::{Discretization, Realization, realize_continuous, realize_discrete};
 pub use recipe::{
     AntiWindup, CertifiedLoop, ControllerRecipe, DriveLimits, Law, OperatingPoint, Provenance,
-    RecipeSettings, ReferencePath,
+    RecipeSettings, ReferencePath, SetpointWeights,
 };
 pub use static_inverse::StaticInverse;

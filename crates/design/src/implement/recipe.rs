@@ -52,6 +52,24 @@ pub enum AntiWindup {
     },
 }
 
+/// How much of a change of the reference a PID controller's proportional and derivative part see: its second degree of freedom.
+///
+/// ```text
+///   u = P (b r - y) + I/s (r - y) + D N s/(s + N) (c r - y)
+/// ```
+///
+/// `r` and `y` in the weighted parts count from the first measurement of a run, so that a start at rest gives no bump.
+/// The feedback from the measurement, and with it stability, margins and the answer to disturbances, is that of the gains alone.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetpointWeights {
+    /// Weight `b` of the reference in the proportional part, 0 to 1; 1 for a controller without integral gain, which would stay off the
+    /// reference at rest.
+    pub b: f64,
+    /// Weight `c` of the reference in the derivative part, 0 to 1; 0 for the derivative of the measurement alone.
+    pub c: f64,
+}
+
 /// Range and slew of the drive.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -98,6 +116,9 @@ pub struct RecipeSettings {
     pub limits: DriveLimits,
     /// What the law does at a limit.
     pub anti_windup: AntiWindup,
+    /// Weights of the reference in a PID controller; `None` for one degree of freedom, `b = c = 1`. Only a PID controller has them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub setpoint_weights: Option<SetpointWeights>,
     /// Where the loop works.
     pub operating_point: OperatingPoint,
 }
@@ -197,7 +218,7 @@ impl ControllerRecipe {
     /// # Errors
     /// [`Error::NoUncertainty`] for a model without a bound; [`Error::LinearisationMismatch`] where model and settings mean
     /// different commands; [`Error::NotRobust`] where the loop is stable, but not for all of the bound;
-    /// all of [`verify`] and [`realize_continuous`]; [`Error::OutOfRange`] for settings.
+    /// all of [`verify`] and [`realize_continuous`]; [`Error::OutOfRange`] for settings, [`Error::WeightsWithoutPid`] for set-point weights.
     pub fn certified(
         model: &PlantModel,
         controller: &StateSpace<Continuous>,
@@ -213,6 +234,7 @@ impl ControllerRecipe {
         let certificate = certify(&model, controller, &settings)?;
         let law =
             Law::StateSpace(realize_continuous(controller, settings.sample_time_s, discretization)?.law);
+        check_weights(&law, settings.setpoint_weights)?;
         let controller = controller.clone();
         let evidence = CertifiedLoop { model, controller, discretization, certificate };
         let provenance = Provenance::Certified(Box::new(evidence));
@@ -222,7 +244,8 @@ impl ControllerRecipe {
     /// A recipe without a certificate, for a stated reason.
     ///
     /// # Errors
-    /// [`Error::EmptyList`] for an empty reason; [`Error::OutOfRange`] for settings, or for a law of another sample time.
+    /// [`Error::EmptyList`] for an empty reason; [`Error::OutOfRange`] for settings, or for a law of another sample time;
+    /// [`Error::WeightsWithoutPid`] for set-point weights of another law than a PID controller.
     pub fn uncertified(reason: &str, law: Law, settings: RecipeSettings) -> Result<Self> {
         check_settings(&settings)?;
         if reason.trim().is_empty() {
@@ -231,6 +254,7 @@ impl ControllerRecipe {
         if let Law::StateSpace(modes) = &law {
             check_sample_time("sample time of the law", modes.sample_time_s, &settings)?;
         }
+        check_weights(&law, settings.setpoint_weights)?;
         let provenance = Provenance::Uncertified { reason: reason.to_string() };
         Ok(Self { plain: PlainRecipe { version: Self::VERSION, law, settings, provenance } })
     }
@@ -367,6 +391,21 @@ fn check_sample_time(key: &'static str, found: f64, settings: &RecipeSettings) -
     }
 }
 
+fn check_weights(law: &Law, weights: Option<SetpointWeights>) -> Result<()> {
+    let Some(SetpointWeights { b, c }) = weights else { return Ok(()) };
+    let Law::Pid(gains) = law else { return Err(Error::WeightsWithoutPid) };
+    for (key, found) in [("setpoint_weights.b", b), ("setpoint_weights.c", c)] {
+        if !(0.0..=1.0).contains(&found) {
+            return Err(Error::OutOfRange { key, found, allowed: "0 to 1" });
+        }
+    }
+    if gains.i_per_s == 0.0 && b != 1.0 {
+        let allowed = "1 for a controller without integral gain, which would stay off the reference";
+        return Err(Error::OutOfRange { key: "setpoint_weights.b", found: b, allowed });
+    }
+    Ok(())
+}
+
 fn check_settings(settings: &RecipeSettings) -> Result<()> {
     let (limits, point) = (settings.limits, settings.operating_point);
     let filter = settings.measurement_filter_rad_s.unwrap_or(1.0);
@@ -415,6 +454,7 @@ mod tests {
             static_inverse: None,
             limits: DriveLimits { min_v: 0.0, max_v: 5000.0, slew_v_per_s: None },
             anti_windup: AntiWindup::HoldOutward,
+            setpoint_weights: None,
             operating_point: OperatingPoint { bias_unit: 0.5, displacement_mm: 0.45, full_scale_v: 5000.0 },
         }
     }
@@ -532,5 +572,50 @@ mod tests {
         let slow = ModalDelta { real: Vec::new(), complex: Vec::new(), d: 1.0, sample_time_s: 1e-3 };
         let found = ControllerRecipe::uncertified("test", Law::StateSpace(slow), settings());
         assert!(matches!(found, Err(Error::OutOfRange { key: "sample time of the law", .. })));
+    }
+
+    #[test]
+    fn edge_setpoint_weights_are_kept_in_range_and_belong_to_a_pid() {
+        let pid = |i_per_s| Law::Pid(PidSettings { p: 1.7, i_per_s, d_s: 0.01, n_rad_s: 9630.0667 });
+        let with = |b, c| RecipeSettings { setpoint_weights: Some(SetpointWeights { b, c }), ..settings() };
+        let recipe = ControllerRecipe::uncertified("test", pid(24.331), with(0.3, 0.0)).expect("in range");
+        let text = serde_json::to_string(&recipe).expect("writes");
+        assert!(text.contains(r#""setpoint_weights":{"b":0.3,"c":0.0}"#), "{text}");
+        assert_eq!(serde_json::from_str::<ControllerRecipe>(&text).expect("reads"), recipe);
+        // A file that was written before there were weights, and one without them, say the same.
+        let plain = ControllerRecipe::uncertified("test", pid(24.331), settings()).expect("valid");
+        let plain_text = serde_json::to_string(&plain).expect("writes");
+        assert!(!plain_text.contains("setpoint_weights"));
+        assert_eq!(serde_json::from_str::<ControllerRecipe>(&plain_text).expect("reads"), plain);
+
+        for (b, c, key_at_fault) in [
+            (1.01, 0.0, "setpoint_weights.b"),
+            (-0.1, 0.0, "setpoint_weights.b"),
+            (f64::NAN, 0.0, "setpoint_weights.b"),
+            (0.5, 1.5, "setpoint_weights.c"),
+            (0.5, f64::INFINITY, "setpoint_weights.c"),
+        ] {
+            match ControllerRecipe::uncertified("test", pid(24.331), with(b, c)) {
+                Err(Error::OutOfRange { key, allowed: "0 to 1", .. }) => assert_eq!(key, key_at_fault),
+                other => panic!("{b}, {c}: {other:?}"),
+            }
+        }
+        let off = text.replacen(r#""b":0.3"#, r#""b":3.0"#, 1);
+        let message = serde_json::from_str::<ControllerRecipe>(&off).expect_err("out of range").to_string();
+        assert!(message.contains("setpoint_weights.b") && message.contains("0 to 1"), "{message}");
+        // Without an integrator the proportional part alone holds the output.
+        let found = ControllerRecipe::uncertified("test", pid(0.0), with(0.5, 0.0));
+        assert!(matches!(found, Err(Error::OutOfRange { key: "setpoint_weights.b", .. })), "{found:?}");
+        assert!(ControllerRecipe::uncertified("test", pid(0.0), with(1.0, 0.0)).is_ok());
+        let modes = ModalDelta { real: Vec::new(), complex: Vec::new(), d: 1.0, sample_time_s: 5e-4 };
+        let found = ControllerRecipe::uncertified("test", Law::StateSpace(modes), with(0.5, 0.0));
+        assert_eq!(found, Err(Error::WeightsWithoutPid));
+        let found = ControllerRecipe::certified(
+            &printed_model(),
+            &printed_controller(1.0),
+            Discretization::Tustin,
+            with(1.0, 1.0),
+        );
+        assert_eq!(found, Err(Error::WeightsWithoutPid));
     }
 }

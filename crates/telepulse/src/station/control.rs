@@ -6,7 +6,7 @@ use telepulse_design::implement::{self as recipe, ControllerRecipe, Law, Referen
 use telepulse_rt::{
     AntiWindup, ComplexMode, ControlLaw, ControlLoop, ControlSettings, ErrorSign, FilterStart,
     InputLinearisation, Limits, LowPass, ModalDeltaController, Pid, PidAntiWindup, PidGains, RealMode,
-    SensorScale,
+    SensorScale, SetpointWeights,
 };
 
 use crate::study::config::Study;
@@ -99,7 +99,7 @@ pub fn from_recipe(
             ReferencePath::Filtered => filter,
         },
         filter_start: FilterStart::AtFirstSample,
-        law: law(recipe.law(), settings.anti_windup, sample_time_s)?,
+        law: law(recipe.law(), settings)?,
         error_sign: ErrorSign::Positive,
         trim: settings.operating_point.bias_unit,
         linearisation: linearisation(settings.input_linearisation),
@@ -116,7 +116,7 @@ fn words(controlled: Controlled) -> &'static str {
     }
 }
 
-fn law(law: &Law, anti_windup: recipe::AntiWindup, sample_time_s: f64) -> Result<ControlLaw> {
+fn law(law: &Law, settings: &recipe::RecipeSettings) -> Result<ControlLaw> {
     Ok(match law {
         Law::StateSpace(modal) => {
             let real: Vec<RealMode> =
@@ -130,14 +130,18 @@ fn law(law: &Law, anti_windup: recipe::AntiWindup, sample_time_s: f64) -> Result
         }
         Law::Pid(pid) => {
             let gains = PidGains { p: pid.p, i_per_s: pid.i_per_s, d_s: pid.d_s, n_rad_s: pid.n_rad_s };
-            let anti_windup = match anti_windup {
+            let anti_windup = match settings.anti_windup {
                 recipe::AntiWindup::None => PidAntiWindup::None,
                 recipe::AntiWindup::HoldOutward => PidAntiWindup::Clamping,
                 recipe::AntiWindup::BackCalculation { tracking_time_s } => {
                     PidAntiWindup::BackCalculation { tracking_time_s }
                 }
             };
-            ControlLaw::Pid(Pid::new(gains, sample_time_s, anti_windup)?)
+            let weights = settings
+                .setpoint_weights
+                .map_or_else(SetpointWeights::default, |w| SetpointWeights { b: w.b, c: w.c });
+            let pid = Pid::new(gains, settings.sample_time_s.seconds(), anti_windup)?;
+            ControlLaw::Pid(pid.with_setpoint_weights(weights)?)
         }
     })
 }

@@ -194,6 +194,7 @@ fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
         static_inverse: None,
         limits: DriveLimits { min_v: study.control.min_v, max_v: study.control.max_v, slew_v_per_s: None },
         anti_windup: AntiWindup::HoldOutward,
+        setpoint_weights: None,
         // Every run starts from rest, so commands and displacements count from there.
         operating_point: OperatingPoint {
             bias_unit: 0.0,

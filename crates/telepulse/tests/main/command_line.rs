@@ -558,6 +558,86 @@ fn edge_a_recipe_for_another_study() {
     );
 }
 
+/// The recipe of the bench with a well damped PID instead of its law, and weights where they are given.
+fn pid_recipe(bench: &Bench, weights: Option<[f64; 2]>) -> String {
+    let mut recipe: serde_json::Value = serde_json::from_str(&bench.text("h.recipe.json")).expect("JSON");
+    recipe["law"] = serde_json::json!({"pid": {"p": 1.5, "i_per_s": 10.0, "d_s": 0.03, "n_rad_s": 1000.0}});
+    recipe["provenance"] =
+        serde_json::json!({"uncertified": {"reason": "two degrees of freedom, for a test"}});
+    if let Some([b, c]) = weights {
+        recipe["settings"]["setpoint_weights"] = serde_json::json!({"b": b, "c": c});
+    }
+    recipe.to_string()
+}
+
+#[test]
+fn law_setpoint_weights_of_a_recipe_shape_the_step_and_nothing_else() {
+    let bench = Bench::with_artefacts();
+    // 0.3 mm, and after 3 s 0.5 mm.
+    let lines =
+        (0..600).map(|k| format!("{:.2},{},mm\n", f64::from(k) * 0.01, if k < 300 { 0.3 } else { 0.5 }));
+    bench.put("step.csv", &format!("time_s,value,unit\n{}", lines.collect::<String>()));
+    let run = |name: &str, weights: Option<[f64; 2]>| {
+        bench.put("x.recipe.json", &pid_recipe(&bench, weights));
+        bench.done(&["track", "x.recipe.json", "--reference", "step.csv", "--study", "st", "--out", name]);
+        let trace: serde_json::Value = serde_json::from_str(&bench.text(name)).expect("JSON");
+        let series = |key: &str| -> Vec<f64> {
+            trace[key].as_array().expect("a series").iter().map(|v| v.as_f64().expect("a number")).collect()
+        };
+        [series("time_s"), series("output"), series("voltage_kv")]
+    };
+    let one = run("one.json", None);
+    // Weights of one are no weights, to the last bit.
+    assert_eq!(one, run("same.json", Some([1.0, 1.0])));
+    let two = run("two.json", Some([0.2, 0.0]));
+    assert!(one[0].len() == two[0].len() && one[0].len() > 1000);
+    let most = |series: &[f64]| series.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let [overshoot_mm, weighted_mm] = [&one, &two].map(|run| most(&run[1]) - 0.5);
+    // What the reference kicks is gone: most of the overshoot, and the drive no longer reaches its limit of 5 kV.
+    assert!(overshoot_mm > 0.02 && weighted_mm < 0.25 * overshoot_mm, "{overshoot_mm} {weighted_mm}");
+    assert!(most(&one[2]) == 5.0 && most(&two[2]) < 4.5, "{} {}", most(&one[2]), most(&two[2]));
+    // Integral action brings both to the reference: within 1 % of it in a quarter second before the step and one near the end.
+    for (from_s, reference_mm) in [(2.0, 0.3), (5.5, 0.5)] {
+        for run in [&one, &two] {
+            let settled = run[0].iter().zip(&run[1]).filter(|(t, _)| (from_s..from_s + 0.25).contains(*t));
+            let off = settled.map(|(_, y)| (y - reference_mm).abs()).fold(0.0, f64::max);
+            assert!(off < 0.01 * reference_mm, "{from_s} s: off by {off} mm");
+        }
+    }
+}
+
+#[test]
+fn edge_setpoint_weights_out_of_range_or_of_another_law() {
+    let bench = Bench::with_artefacts();
+    let track =
+        ["track", "x.recipe.json", "--reference", "reference.csv", "--study", "st", "--out", "made/run.json"];
+    let replay = ["replay", "x.recipe.json", "pulse.csv", "--study", "st", "--out", "made/run.json"];
+    for (weights, named) in
+        [([1.5, 0.0], ["setpoint_weights.b", "1.5"]), ([0.5, -0.1], ["setpoint_weights.c", "-0.1"])]
+    {
+        bench.put("x.recipe.json", &pid_recipe(&bench, Some(weights)));
+        let named = [&["x.recipe.json", "0 to 1"][..], &named].concat();
+        bench.refused(&track, &named);
+        bench.refused(&replay, &named);
+    }
+    let good = pid_recipe(&bench, Some([0.5, 0.0]));
+    for (old, new, named) in [
+        // A half of the pair, a third weight, and a controller that would rest at half of the reference.
+        ("\"b\":0.5,", "", ["missing field `b`", "x.recipe.json"]),
+        ("\"b\":0.5,", "\"b\":0.5,\"d\":1.0,", ["unknown field `d`", "x.recipe.json"]),
+        ("\"i_per_s\":10.0", "\"i_per_s\":0.0", ["setpoint_weights.b", "without integral gain"]),
+    ] {
+        assert_eq!(good.matches(old).count(), 1, "{old}");
+        bench.put("x.recipe.json", &good.replace(old, new));
+        bench.refused(&track, &named);
+    }
+    // The certified state-space law has nothing to weigh.
+    let mut recipe: serde_json::Value = serde_json::from_str(&bench.text("h.recipe.json")).expect("JSON");
+    recipe["settings"]["setpoint_weights"] = serde_json::json!({"b": 0.5, "c": 0.0});
+    bench.put("x.recipe.json", &recipe.to_string());
+    bench.refused(&track, &["x.recipe.json", "`setpoint_weights`", "PID"]);
+}
+
 #[test]
 fn edge_a_file_of_another_kind() {
     let bench = Bench::with_artefacts();
