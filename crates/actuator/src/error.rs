@@ -100,6 +100,22 @@ pub enum Error {
         /// Smallest nominal hoop stress, Pa.
         s2_min_pa: f64,
     },
+    /// Derivatives or fields were asked for where nothing has been solved.
+    #[error("there is no equilibrium to look at: nothing has been solved, or the last solve failed")]
+    NoEquilibrium,
+    /// The search for a limit point ended without one.
+    #[error(
+        "no limit point under {force_n} N up to a displacement of {displacement_m} m: the voltage still rises at \
+         {voltage_v} V"
+    )]
+    NoLimitPoint {
+        /// Dead load, N.
+        force_n: f64,
+        /// Displacement at which the search ended, m.
+        displacement_m: f64,
+        /// Voltage there, V.
+        voltage_v: f64,
+    },
     /// A linearisation at zero bias was asked for.
     #[error(
         "the input gain is zero at a bias of {bias_v} V since force goes with voltage squared: linearise at a positive bias"

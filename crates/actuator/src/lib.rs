@@ -8,6 +8,7 @@ pub mod material;
 pub mod membrane;
 mod parameters;
 pub mod rig;
+pub mod statics;
 pub mod twin;
 
 pub use error::Error;

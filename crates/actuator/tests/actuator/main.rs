@@ -2,6 +2,7 @@
 
 mod membrane;
 mod rig;
+mod statics;
 mod twin;
 
 /// Panics unless `found` lies within `relative` of `expected`, or within `absolute` where that is larger.
