@@ -100,6 +100,19 @@ pub enum Error {
         /// Smallest nominal hoop stress, Pa.
         s2_min_pa: f64,
     },
+    /// The membrane would thin without bound: electromechanical pull-in of the material itself.
+    #[error(
+        "the membrane pulls in at {voltage_v} V and {displacement_m} m: beyond, the voltage thins it without bound \
+         (smallest of the moduli ds1/dl1 and ds2/dl2 there: {modulus_min_pa} Pa)"
+    )]
+    PullIn {
+        /// Voltage, V.
+        voltage_v: f64,
+        /// Displacement of the plate, m.
+        displacement_m: f64,
+        /// Smallest of ds1/dl1 and ds2/dl2 over the nodes, Pa.
+        modulus_min_pa: f64,
+    },
     /// Derivatives or fields were asked for where nothing has been solved.
     #[error("there is no equilibrium to look at: nothing has been solved, or the last solve failed")]
     NoEquilibrium,

@@ -18,6 +18,8 @@ const MAX_PLATE_STEP: f64 = 0.1;
 const UNSTRETCHED_START: f64 = 0.5;
 /// Part of the Gent limit beyond which a failure is blamed on it.
 const GENT_BLAME: f64 = 0.95;
+/// Modulus over mu below which a failure is blamed on pull-in.
+const PULL_IN_BLAME: f64 = 1e-2;
 /// Largest slope of the guessed profile: steeper guesses leave Newton's reach.
 const GUESS_REACH: f64 = 0.25;
 /// First step in x over B of the search for a limit point.
@@ -185,7 +187,7 @@ impl Follower<'_> {
             let moved = (self.workspace.at.displacement - displacement).abs();
             let near = moved < MAX_PLATE_STEP || matches!(control.load, Held::Displacement(_));
             match solved {
-                Ok(effort) if near && self.is_stable(control) => {
+                Ok(effort) if near && self.workspace.at.least_s11 > 0.0 && self.is_stable(control) => {
                     position = next;
                     step *= 1.5;
                     displacement = self.workspace.at.displacement;
@@ -220,11 +222,21 @@ impl Follower<'_> {
                 return Error::GentLimit { invariant, gent_limit: limit };
             }
         }
+        let slack = self.workspace.at.least_stress() <= 0.0;
+        // At a held plate, a path in voltage that ends taut ends in a fold: pull-in without the plate's help.
+        let held = matches!(wanted.load, Held::Displacement(_)) && self.workspace.state.field > 0.0;
+        if !slack && (held || self.workspace.at.least_s11 < PULL_IN_BLAME) {
+            let state = summarise(self.sheet, self.workspace, effort);
+            return Error::PullIn {
+                voltage_v: state.voltage_v,
+                displacement_m: state.displacement_m,
+                modulus_min_pa: state.modulus_min_pa,
+            };
+        }
         let wanted_v = match wanted.electric {
             Electric::Field(field) => (field / self.sheet.field_scale_per_v2()).sqrt(),
             _ => (self.workspace.state.field.max(0.0) / self.sheet.field_scale_per_v2()).sqrt(),
         };
-        let slack = self.workspace.at.least_stress() <= 0.0;
         match wanted.load {
             Held::Force(force) => {
                 // The limit point itself, where the path can be followed to it; else the last stable state.

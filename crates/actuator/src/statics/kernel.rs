@@ -104,6 +104,10 @@ pub(crate) struct Evaluation {
     pub(crate) points: Vec<Point>,
     pub(crate) displacement: f64,
     pub(crate) capacitance: f64,
+    /// Smallest of ds1/dl1 and ds2/dl2 over the nodes, with the electrical part.
+    pub(crate) least_modulus: f64,
+    /// Smallest ds1/dl1: where it is not positive, the equations of the axisymmetric membrane have lost their type.
+    pub(crate) least_s11: f64,
 }
 
 impl Evaluation {
@@ -121,6 +125,8 @@ impl Evaluation {
             points: vec![Point::default(); degree + 1],
             displacement: 0.0,
             capacitance: 0.0,
+            least_modulus: 0.0,
+            least_s11: 0.0,
         }
     }
 
@@ -128,6 +134,7 @@ impl Evaluation {
     pub(crate) fn at<L: PointLaw>(&mut self, operator: &Operator, law: &L, state: &State) -> bool {
         operator.differentiate(&state.r, &mut self.p);
         let (mut displacement, mut capacitance) = (0.0, 0.0);
+        let (mut least_s11, mut least_s22) = (f64::INFINITY, f64::INFINITY);
         for j in 0..=operator.degree {
             let (p, q) = (self.p[j], state.q[j]);
             let (rho, inverse_rho, weight) = (operator.rho[j], operator.inverse_rho[j], operator.weights[j]);
@@ -142,6 +149,8 @@ impl Evaluation {
             let s11 = elastic.s11 - field * l2 * l2;
             let s12 = elastic.s12 - 2.0 * field * area;
             let s22 = elastic.s22 - field * l1 * l1;
+            least_s11 = least_s11.min(s11);
+            least_s22 = least_s22.min(s22);
             let inverse_l1 = 1.0 / l1;
             // c = cos(theta), d = -sin(theta).
             let (c, d) = (p * inverse_l1, q * inverse_l1);
@@ -171,6 +180,7 @@ impl Evaluation {
         (self.balance[0], self.balance[n]) = (0.0, 0.0);
         self.displacement = displacement;
         self.capacitance = capacitance;
+        (self.least_s11, self.least_modulus) = (least_s11, least_s11.min(least_s22));
         displacement.is_finite() && capacitance.is_finite()
     }
 

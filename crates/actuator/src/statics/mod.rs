@@ -1,12 +1,14 @@
 //! Equilibria of an annular membrane for any material, geometry and way of holding plate and electrodes.
 
 mod continuation;
+mod extrapolation;
 mod kernel;
 mod linearised;
 mod lu;
 mod newton;
 mod operator;
 mod sheet;
+pub mod shooting;
 mod solution;
 mod solver;
 

@@ -40,6 +40,8 @@ pub struct StaticPoint {
     pub s1_min_pa: f64,
     /// Smallest nominal hoop stress, Pa, at the nodes and between them.
     pub s2_min_pa: f64,
+    /// Smallest of the moduli ds1/dl1 and ds2/dl2 over the nodes, with their electrical part, Pa.
+    pub modulus_min_pa: f64,
     /// Largest residual of the method's equations, relative to the shear modulus.
     pub residual: f64,
     /// Newton steps, with new or old factors.
@@ -59,6 +61,22 @@ impl StaticPoint {
             voltage_v: self.voltage_v,
             displacement_m: self.displacement_m,
             s2_min_pa: self.s2_min_pa.min(self.s1_min_pa),
+        })
+    }
+
+    /// The state itself, unless short waves of thinning would grow in it, whatever holds the plate.
+    ///
+    /// # Errors
+    /// [`Error::PullIn`]: ds1/dl1 or ds2/dl2 is not positive somewhere. Laws that soften more than the neo-Hookean one reach
+    /// this before they lose tension.
+    pub fn require_no_pull_in(&self) -> Result<&Self, Error> {
+        if self.modulus_min_pa > 0.0 {
+            return Ok(self);
+        }
+        Err(Error::PullIn {
+            voltage_v: self.voltage_v,
+            displacement_m: self.displacement_m,
+            modulus_min_pa: self.modulus_min_pa,
         })
     }
 }

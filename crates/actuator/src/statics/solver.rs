@@ -101,11 +101,11 @@ impl StaticSolver {
     /// voltage squared (or charge squared), with step control.
     ///
     /// # Errors
-    /// [`Error::Request`], [`Error::BeyondLimitPoint`] (dead load), [`Error::Slack`], [`Error::GentLimit`],
-    /// [`Error::NotConverged`].
+    /// [`Error::Request`], [`Error::BeyondLimitPoint`] (dead load), [`Error::Slack`], [`Error::PullIn`],
+    /// [`Error::GentLimit`], [`Error::NotConverged`].
     pub fn solve(&mut self, load: Load, electrodes: Electrodes) -> Result<StaticPoint, Error> {
         let point = self.solve_even_slack(load, electrodes)?;
-        point.require_taut()?;
+        point.require_taut()?.require_no_pull_in()?;
         Ok(point)
     }
 
@@ -133,8 +133,10 @@ impl StaticSolver {
         let before = self.workspace.at.displacement;
         if let Ok(effort) = self.workspace.solve(self.sheet.law(), control) {
             let moved = (self.workspace.at.displacement - before).abs();
+            let at = &self.workspace.at;
             if moved < LARGEST_MOVE
-                && self.workspace.at.least_stress() > 0.0
+                && at.least_stress() > 0.0
+                && at.least_modulus > 0.0
                 && self.follower().is_stable(control)
             {
                 return Ok(self.summarise(effort));
@@ -308,6 +310,7 @@ pub(super) fn summarise(sheet: &Sheet, workspace: &Workspace, effort: Effort) ->
         field_max_v_per_m: voltage_v / sheet.spec().thickness_m * area_stretch,
         s1_min_pa: mu_pa * at.s1.iter().copied().fold(f64::INFINITY, f64::min),
         s2_min_pa: mu_pa * operator.grid().minimum(&at.s2),
+        modulus_min_pa: mu_pa * at.least_modulus,
         residual: effort.residual,
         iterations: effort.iterations,
     }

@@ -4,6 +4,7 @@ mod membrane;
 mod rig;
 mod statics;
 mod twin;
+mod two_methods;
 
 /// Panics unless `found` lies within `relative` of `expected`, or within `absolute` where that is larger.
 #[track_caller]

@@ -92,6 +92,7 @@ fn oracle_stored_dimensionless_cases() {
 }
 
 #[test]
+#[allow(clippy::print_stderr)]
 fn oracle_shared_dimensionless_cases() {
     #[derive(Deserialize)]
     struct Shared {
@@ -343,4 +344,21 @@ fn edge_membrane_without_prestretch_is_found_once_it_is_pulled() {
         .collect();
     let depths: Vec<f64> = found.expect("taut").iter().map(|s| s.point.displacement_m).collect();
     assert!(depths.windows(2).all(|pair| pair[0] < pair[1]), "{depths:?}");
+}
+
+#[test]
+fn edge_pull_in_of_a_softening_material_is_told_from_slack() {
+    let soft = Material::Ogden { terms: vec![[2.0 * MU_PA / 1.4, 1.4]] };
+    let sheet = sheet(soft, 0.3, [1.5; 2]).expect("valid");
+    let mut solver = StaticSolver::new(&sheet).expect("valid");
+    let load = Load::DisplacementM(0.1 * OUTER_M);
+    assert!(solver.solve(load, Electrodes::VoltageV(voltage_v(0.4))).is_ok());
+    // Flat at stretch l, ds1/dl1 = 0.4 m l^-0.6 + 2.4 m l^-4.8 - v^2 l^2 with m = 2/1.4 is zero at v = 0.60.
+    match solver.solve(load, Electrodes::VoltageV(voltage_v(0.7))) {
+        Err(Error::PullIn { voltage_v: reached, modulus_min_pa, .. }) => {
+            assert!(modulus_min_pa < 0.01 * MU_PA, "{modulus_min_pa}");
+            assert!(reached < voltage_v(0.7), "{reached}");
+        }
+        other => panic!("{other:?}"),
+    }
 }
