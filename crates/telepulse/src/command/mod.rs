@@ -2,6 +2,7 @@
 
 mod design;
 mod identify;
+mod membrane;
 mod pulse;
 mod receive;
 mod replay;
@@ -48,6 +49,8 @@ enum Stage {
     Track(track::TrackArguments),
     /// Solve a problem of robust control given as a file: synthesis, norms, matrix equations.
     Solve(solve::SolveArguments),
+    /// Look at the membrane's physics: equilibria from case files.
+    Membrane(membrane::MembraneArguments),
     /// Look at a pulse recording.
     Pulse(pulse::PulseArguments),
     /// Patient's side: send a recording.
@@ -89,6 +92,7 @@ pub fn run(arguments: Arguments) -> Result<Verdict> {
         Stage::Verify(typed) => verify::run(&typed, json),
         Stage::Track(typed) => track::run(&typed, json),
         Stage::Solve(typed) => solve::run(&typed, json),
+        Stage::Membrane(typed) => membrane::run(&typed, json),
         Stage::Pulse(typed) => pulse::run(&typed, json),
         Stage::Send(typed) => send::run(&typed, json),
         Stage::Receive(typed) => receive::run(&typed, json),

@@ -2,5 +2,6 @@
 
 mod command_line;
 mod dependencies;
+mod membrane;
 mod solve;
 mod study;

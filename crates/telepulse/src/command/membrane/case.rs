@@ -1,0 +1,196 @@
+//! Case files of `telepulse membrane`: JSON that describes a sheet, and what holds plate and electrodes.
+
+use std::collections::BTreeSet;
+use std::io::Read;
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use serde_json::{Map, Value};
+use telepulse_actuator::Error;
+use telepulse_actuator::statics::{Electrodes, Load, Material, Prestretch, Sheet, SheetSpec};
+
+use crate::artefact;
+
+/// A checked case.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Case {
+    /// Where it came from, for messages.
+    pub(super) name: String,
+    pub(super) sheet: Sheet,
+    pub(super) load: Load,
+    pub(super) electrodes: Electrodes,
+    /// Keys that mean nothing here.
+    pub(super) unread: Vec<String>,
+}
+
+/// Keys of a case.
+const KEYS: [&str; 11] = [
+    "material",
+    "a_m",
+    "b_m",
+    "thickness_m",
+    "prestretch",
+    "allow_prestretch_below_one",
+    "relative_permittivity",
+    "voltage_v",
+    "charge_c",
+    "force_n",
+    "displacement_m",
+];
+/// Keys that collections of cases carry to tell them apart.
+const DESCRIPTIVE: [&str; 6] = ["id", "name", "category", "source", "note", "comment"];
+/// Names of the materials.
+const MATERIALS: &str = "\"neo-hookean\", \"gent\" or \"ogden\"";
+
+impl Case {
+    /// Reads a file, or standard input where the path is `-`.
+    pub(super) fn read(path: &Path) -> Result<Self> {
+        if path.as_os_str() == "-" {
+            let mut text = String::new();
+            std::io::stdin().read_to_string(&mut text).context("cannot read standard input")?;
+            return Self::parse(&text, "standard input");
+        }
+        Self::parse(&artefact::read_text(path)?, &path.display().to_string())
+    }
+
+    fn parse(text: &str, name: &str) -> Result<Self> {
+        let value: Value = serde_json::from_str(text).map_err(|error| anyhow!("in {name}: {error}"))?;
+        let Value::Object(fields) = value else {
+            bail!("in {name}: expected an object with the keys of a case, found {value}");
+        };
+        Self::from_fields(&fields, name).map_err(|error| error.context(format!("in {name}")))
+    }
+
+    fn from_fields(fields: &Map<String, Value>, name: &str) -> Result<Self> {
+        let [prestretch_inner, prestretch_outer] = prestretch(fields)?;
+        let below_one = match fields.get("allow_prestretch_below_one") {
+            None | Some(Value::Null | Value::Bool(false)) => Prestretch::AtLeastOne,
+            Some(Value::Bool(true)) => Prestretch::BelowOneAllowed,
+            Some(other) => bail!("key `allow_prestretch_below_one`: expected true or false, found {other}"),
+        };
+        let spec = SheetSpec {
+            material: material(fields)?,
+            inner_radius_m: number(fields, "a_m")?,
+            outer_radius_m: number(fields, "b_m")?,
+            thickness_m: number(fields, "thickness_m")?,
+            prestretch_inner,
+            prestretch_outer,
+            prestretch: below_one,
+            relative_permittivity: number(fields, "relative_permittivity")?,
+        };
+        let sheet = Sheet::new(spec).map_err(|error| match error {
+            // The chain limit is the one check that involves two keys.
+            Error::GentLimit { .. } => anyhow!("key `prestretch`, found {prestretch_inner}: {error}"),
+            error => anyhow!(error),
+        })?;
+        let load = match (present(fields, "force_n"), present(fields, "displacement_m")) {
+            (true, false) => Load::ForceN(number(fields, "force_n")?),
+            (false, true) => Load::DisplacementM(number(fields, "displacement_m")?),
+            (true, true) => {
+                bail!("keys `force_n` and `displacement_m`: one of them follows from the other, give one")
+            }
+            (false, false) => {
+                bail!("key `force_n` or `displacement_m` is missing: one of them holds the plate")
+            }
+        };
+        let electrodes = match (present(fields, "voltage_v"), present(fields, "charge_c")) {
+            (_, false) => Electrodes::VoltageV(not_negative(fields, "voltage_v")?),
+            (false, true) => Electrodes::ChargeC(not_negative(fields, "charge_c")?),
+            (true, true) => bail!("keys `voltage_v` and `charge_c`: one follows from the other, give one"),
+        };
+        let known: BTreeSet<&str> = KEYS.into_iter().chain(DESCRIPTIVE).collect();
+        let unread = fields.keys().filter(|key| !known.contains(key.as_str())).cloned().collect();
+        Ok(Self { name: name.to_owned(), sheet, load, electrodes, unread })
+    }
+
+    /// Adds to a refusal which key of the case it is about.
+    pub(super) fn explain(&self, error: Error) -> anyhow::Error {
+        let load = match self.load {
+            Load::ForceN(force) => format!("key `force_n`, found {force}"),
+            Load::DisplacementM(x) => format!("key `displacement_m`, found {x}"),
+        };
+        let electric = match self.electrodes {
+            Electrodes::VoltageV(v) if v > 0.0 => Some(format!("key `voltage_v`, found {v}")),
+            Electrodes::ChargeC(charge) if charge > 0.0 => Some(format!("key `charge_c`, found {charge}")),
+            _ => None,
+        };
+        let key = match &error {
+            Error::Request { .. } => String::new(),
+            Error::GentLimit { .. } => format!("{load}: "),
+            // Where the load alone was borne, it is the voltage that goes too far.
+            Error::BeyondLimitPoint { reached_voltage_v, .. } if *reached_voltage_v == 0.0 => {
+                format!("{load}: ")
+            }
+            _ => format!("{}: ", electric.unwrap_or(load)),
+        };
+        anyhow!("in {}: {key}{error}", self.name)
+    }
+}
+
+fn present(fields: &Map<String, Value>, key: &str) -> bool {
+    fields.get(key).is_some_and(|value| !value.is_null())
+}
+
+fn number(fields: &Map<String, Value>, key: &str) -> Result<f64> {
+    match fields.get(key) {
+        None | Some(Value::Null) => Err(anyhow!("key `{key}` is missing, expected a number")),
+        Some(value) => value.as_f64().ok_or_else(|| anyhow!("key `{key}`: expected a number, found {value}")),
+    }
+}
+
+fn not_negative(fields: &Map<String, Value>, key: &str) -> Result<f64> {
+    let found = number(fields, key)?;
+    ensure!(found >= 0.0, "key `{key}`: must not be negative, found {found}: force goes with its square");
+    Ok(found)
+}
+
+/// One number, or one for the plate and one for the frame.
+fn prestretch(fields: &Map<String, Value>) -> Result<[f64; 2]> {
+    match fields.get("prestretch") {
+        Some(Value::Array(both)) => match both.iter().map(Value::as_f64).collect::<Vec<_>>()[..] {
+            [Some(inner), Some(outer)] => Ok([inner, outer]),
+            _ => bail!(
+                "key `prestretch`: expected a number, or two for plate and frame, found {}",
+                Value::from(both.clone())
+            ),
+        },
+        _ => Ok([number(fields, "prestretch")?; 2]),
+    }
+}
+
+fn material(fields: &Map<String, Value>) -> Result<Material> {
+    let found = match fields.get("material") {
+        None | Some(Value::Null) => bail!("key `material` is missing, expected an object with `model`"),
+        Some(Value::Object(found)) => found,
+        Some(other) => bail!("key `material`: expected an object with `model`, found {other}"),
+    };
+    let inside = |error: anyhow::Error| anyhow!("key `material`: {error}");
+    let value = |key: &str| number(found, key).map_err(inside);
+    let (material, known): (Material, &[&str]) = match found.get("model").and_then(Value::as_str) {
+        Some("neo-hookean") => (Material::NeoHookean { mu_pa: value("mu_pa")? }, &["mu_pa"]),
+        Some("gent") => (Material::Gent { mu_pa: value("mu_pa")?, limit: value("J")? }, &["mu_pa", "J"]),
+        Some("ogden") => (Material::Ogden { terms: terms(found)? }, &["terms"]),
+        Some(other) => bail!("key `material`: `model` \"{other}\" is unknown, expected {MATERIALS}"),
+        None => bail!("key `material`: `model` is missing or no word, expected {MATERIALS}"),
+    };
+    for key in found.keys().filter(|key| *key != "model" && !found[*key].is_null()) {
+        ensure!(known.contains(&key.as_str()), "key `material`: `{key}` has no meaning for this `model`");
+    }
+    Ok(material)
+}
+
+fn terms(found: &Map<String, Value>) -> Result<Vec<[f64; 2]>> {
+    let expected = "expected pairs [mu_pa, alpha]";
+    let Some(Value::Array(rows)) = found.get("terms") else {
+        bail!("key `material`: `terms` is missing or no list, {expected}");
+    };
+    rows.iter()
+        .map(|row| match row.as_array().map(Vec::as_slice) {
+            Some([mu_pa, alpha]) => match (mu_pa.as_f64(), alpha.as_f64()) {
+                (Some(mu_pa), Some(alpha)) => Ok([mu_pa, alpha]),
+                _ => Err(anyhow!("key `material`: `terms`: {expected}, found {row}")),
+            },
+            _ => Err(anyhow!("key `material`: `terms`: {expected}, found {row}")),
+        })
+        .collect()
+}
