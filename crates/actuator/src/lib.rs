@@ -3,6 +3,7 @@
 pub mod collocation;
 mod error;
 pub mod field;
+pub mod frequency;
 pub mod linearize;
 pub mod material;
 pub mod membrane;

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 use crate::material::ElasticLaw;
+use crate::statics::{Material, Prestretch, Sheet, SheetSpec};
 
 /// Vacuum permittivity, F/m. Source: CODATA 2018.
 pub const VACUUM_PERMITTIVITY_F_PER_M: f64 = 8.854_187_812_8e-12;
@@ -210,6 +211,28 @@ impl ActuatorParameters {
     #[must_use]
     pub fn spec(&self) -> &ActuatorSpec {
         &self.spec
+    }
+
+    /// The relaxed membrane of these parameters as a sheet of its own.
+    ///
+    /// # Errors
+    /// None that the parameters' own check has not caught; the signature is that of [`Sheet::new`].
+    pub fn sheet(&self) -> Result<Sheet, Error> {
+        let spec = &self.spec;
+        let mu_pa = spec.mu_pa;
+        Sheet::new(SheetSpec {
+            material: match spec.gent_limit {
+                Some(limit) => Material::Gent { mu_pa, limit },
+                None => Material::NeoHookean { mu_pa },
+            },
+            inner_radius_m: spec.inner_radius_m,
+            outer_radius_m: spec.outer_radius_m,
+            thickness_m: spec.thickness_m,
+            prestretch_inner: spec.prestretch,
+            prestretch_outer: spec.prestretch,
+            prestretch: Prestretch::AtLeastOne,
+            relative_permittivity: spec.relative_permittivity,
+        })
     }
 
     /// Weight m g of plate and load, N.

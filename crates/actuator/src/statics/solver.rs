@@ -93,6 +93,11 @@ impl StaticSolver {
         &self.sheet
     }
 
+    /// Nodes, weights and differentiation matrix over R/B.
+    pub(crate) fn grid(&self) -> &ChebyshevGrid {
+        self.workspace.operator.grid()
+    }
+
     /// The equilibrium that continues the flat state, whatever was solved before.
     ///
     /// **Method**: Newton from the shape of a uniformly tensioned membrane. Its result is trusted where it is taut, stable

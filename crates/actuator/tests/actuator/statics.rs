@@ -108,21 +108,9 @@ fn oracle_shared_dimensionless_cases() {
     }
 }
 
-/// Set A or C as a sheet.
-pub(crate) fn sheet_of(set: ParameterSet) -> Sheet {
-    let parameters = set.parameters();
-    let spec = parameters.spec();
-    Sheet::new(SheetSpec {
-        material: Material::Gent { mu_pa: spec.mu_pa, limit: spec.gent_limit.expect("Gent") },
-        inner_radius_m: spec.inner_radius_m,
-        outer_radius_m: spec.outer_radius_m,
-        thickness_m: spec.thickness_m,
-        prestretch_inner: spec.prestretch,
-        prestretch_outer: spec.prestretch,
-        prestretch: Prestretch::AtLeastOne,
-        relative_permittivity: spec.relative_permittivity,
-    })
-    .expect("valid")
+/// A parameter set as a sheet.
+fn sheet_of(set: ParameterSet) -> Sheet {
+    set.parameters().sheet().expect("valid")
 }
 
 #[test]
