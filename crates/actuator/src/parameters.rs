@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-use crate::material::ElasticLaw;
 use crate::statics::{Material, Prestretch, Sheet, SheetSpec};
 
 /// Vacuum permittivity, F/m. Source: CODATA 2018.
@@ -251,13 +250,6 @@ impl ActuatorParameters {
     #[must_use]
     pub fn permittivity_f_per_m(&self) -> f64 {
         self.spec.relative_permittivity * VACUUM_PERMITTIVITY_F_PER_M
-    }
-
-    pub(crate) fn elastic_law(&self) -> ElasticLaw {
-        match self.spec.gent_limit {
-            Some(limit) => ElasticLaw::Gent { limit },
-            None => ElasticLaw::NeoHookean,
-        }
     }
 }
 

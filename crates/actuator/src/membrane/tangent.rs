@@ -2,9 +2,9 @@
 
 use nalgebra::DVector;
 
-use super::assembly::{Closure, Residual, field_derivative, force_gradient, jacobian, residual};
 use super::{Dashpots, Equilibrium, Membrane};
 use crate::Error;
+use crate::statics::{Cause, Control, Electric, Evaluation, Held, Linearised, Step};
 
 /// Which part of the material follows a small change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,51 +74,43 @@ impl Membrane {
         equilibrium: &Equilibrium,
         dashpots: &Dashpots,
     ) -> Result<Sensitivity, Error> {
-        let singular = Error::SingularTangent {
-            voltage_v: equilibrium.voltage_v(),
-            displacement_m: equilibrium.displacement_m(),
-        };
         let voltage_v = equilibrium.voltage_v();
-        let field = self.field_scale() * voltage_v * voltage_v;
-        let closure = Closure::Displacement(equilibrium.shape().z[0]);
-        let current =
-            residual(self, dashpots, equilibrium.shape(), field, closure).ok_or(singular.clone())?;
-        let lu = jacobian(self, &current, closure).lu();
-        let gradient = force_gradient(self, &current);
-        let mut unit = current.value.clone();
-        unit.fill(0.0);
-        let last = unit.len() - 1;
-        unit[last] = 1.0;
-        let by_displacement = lu.solve(&unit).ok_or(singular.clone())?;
-        let partial = field_derivative(self, &current);
-        let by_field = -lu.solve(&partial.residual).ok_or(singular)?;
-        let force_by_field = partial.force + gradient.dot(&by_field);
-        let per_v2 = self.force_scale() * self.field_scale() * force_by_field;
+        let singular = Error::SingularTangent { voltage_v, displacement_m: equilibrium.displacement_m() };
+        let operator = self.solver.operator();
+        let (mut at, mut linear) = (Evaluation::new(operator.degree), Linearised::new(operator.degree));
+        let state = equilibrium.state();
+        if !at.at(operator, &self.law(dashpots), state) {
+            return Err(singular);
+        }
+        let control =
+            Control { load: Held::Displacement(at.displacement), electric: Electric::Field(state.field) };
+        if !linear.factor(operator, &at, state.field, control) {
+            return Err(singular);
+        }
+        let mut step = Step::new(operator.degree);
+        let sheet = self.sheet();
+        let per_length = 1.0 / sheet.length_scale_m();
+        linear.response(operator, Cause::Displacement, &mut step);
+        let stiffness = step.force;
+        let strain_by_displacement = self.strain(equilibrium, &step, per_length);
+        linear.response(operator, Cause::Field, &mut step);
+        let per_v2 = sheet.force_scale_n() * sheet.field_scale_per_v2() * step.force;
         let tangent = Tangent {
-            stiffness_n_per_m: self.force_scale() / self.length_scale() * gradient.dot(&by_displacement),
+            stiffness_n_per_m: sheet.force_scale_n() * per_length * stiffness,
             dforce_dvoltage_n_per_v: 2.0 * voltage_v * per_v2,
             dforce_dvoltage_squared_n_per_v2: per_v2,
         };
-        Ok(Sensitivity {
-            tangent,
-            strain_by_displacement: self.strain(equilibrium, &by_displacement, 1.0 / self.length_scale()),
-            strain_by_voltage_squared: self.strain(equilibrium, &by_field, self.field_scale()),
-        })
+        let strain_by_voltage_squared = self.strain(equilibrium, &step, sheet.field_scale_per_v2());
+        Ok(Sensitivity { tangent, strain_by_displacement, strain_by_voltage_squared })
     }
 
-    /// Change of the logarithmic strains with the unknowns, times `scale`, in flat coordinates.
-    fn strain(&self, equilibrium: &Equilibrium, unknowns: &DVector<f64>, scale: f64) -> DVector<f64> {
-        let mut change = equilibrium.shape().clone();
-        change.r.fill(0.0);
-        change.z.fill(0.0);
-        let change = change.stepped(unknowns, scale);
-        let differentiation = self.grid().differentiation();
-        let dr = differentiation * &change.r;
-        let dz = differentiation * &change.z;
-        self.flat_coordinates((0..self.grid().n_nodes()).map(|j| {
+    /// Change of the logarithmic strains in a response, times `scale`, in flat coordinates.
+    fn strain(&self, equilibrium: &Equilibrium, step: &Step, scale: f64) -> DVector<f64> {
+        let state = equilibrium.state();
+        self.flat_coordinates((0..state.r.len()).map(|j| {
             let theta = equilibrium.theta_rad()[j];
-            let dl1 = theta.cos() * dr[j] - theta.sin() * dz[j];
-            [dl1 / equilibrium.lambda1()[j], change.r[j] / equilibrium.shape().r[j]]
+            let dl1 = theta.cos() * step.p[j] - theta.sin() * step.q[j];
+            [scale * dl1 / equilibrium.lambda1()[j], scale * step.r[j] / state.r[j]]
         }))
     }
 
@@ -128,7 +120,7 @@ impl Membrane {
     /// **Shapes and units**: two entries for each node, m^1.5.
     pub(crate) fn flat_coordinates(&self, field: impl Iterator<Item = [f64; 2]>) -> DVector<f64> {
         let grid = self.grid();
-        let length = self.length_scale();
+        let length = self.sheet().length_scale_m();
         let volume = 2.0 * std::f64::consts::PI * self.parameters().spec().thickness_m * length * length;
         let mut flat = DVector::zeros(2 * grid.n_nodes());
         for (j, [e1, e2]) in field.enumerate() {
@@ -138,21 +130,5 @@ impl Membrane {
             flat[2 * j + 1] = root * 3.0_f64.sqrt() * e2;
         }
         flat
-    }
-
-    pub(super) fn stiffness(&self, dashpots: &Dashpots, equilibrium: &Equilibrium) -> Result<f64, Error> {
-        Ok(self.tangent_with(equilibrium, dashpots)?.stiffness_n_per_m)
-    }
-
-    /// Stiffness dF/dx from a residual, N/m.
-    pub(super) fn stiffness_of(&self, current: &Residual, voltage_v: f64) -> Result<f64, Error> {
-        let lu = jacobian(self, current, Closure::Displacement(0.0)).lu();
-        let mut unit = current.value.clone();
-        unit.fill(0.0);
-        let last = unit.len() - 1;
-        unit[last] = 1.0;
-        let by_displacement =
-            lu.solve(&unit).ok_or(Error::SingularTangent { voltage_v, displacement_m: f64::NAN })?;
-        Ok(self.force_scale() / self.length_scale() * force_gradient(self, current).dot(&by_displacement))
     }
 }

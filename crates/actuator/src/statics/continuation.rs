@@ -1,6 +1,6 @@
 //! From the flat state to a load and a voltage, and to the limit point of that path.
 
-use super::kernel::{Edges, State};
+use super::kernel::{Edges, PointLaw, State};
 use super::linearised::{Cause, Control, Electric, Held, Linearised, Step};
 use super::newton::{Effort, Workspace};
 use super::sheet::Sheet;
@@ -34,8 +34,9 @@ const MAX_LIMIT_STEPS: usize = 80;
 const LIMIT_TOLERANCE: f64 = 1e-9;
 
 /// What a path needs of the solver.
-pub(super) struct Follower<'a> {
+pub(super) struct Follower<'a, L> {
     pub(super) sheet: &'a Sheet,
+    pub(super) law: &'a L,
     pub(super) edges: Edges,
     pub(super) workspace: &'a mut Workspace,
     pub(super) backup: &'a mut State,
@@ -49,7 +50,7 @@ struct Stop {
     effort: Effort,
 }
 
-impl Follower<'_> {
+impl<L: PointLaw> Follower<'_, L> {
     /// The equilibrium on the path from the flat state.
     pub(super) fn trace(&mut self, control: Control) -> Result<Effort, Error> {
         self.workspace.linear.discard();
@@ -62,7 +63,7 @@ impl Follower<'_> {
         if let Held::Displacement(_) = control.load {
             self.workspace.state.force = self.guess_force(guess, field);
         }
-        if let Ok(effort) = self.workspace.solve(self.sheet.law(), control)
+        if let Ok(effort) = self.workspace.solve(self.law, control)
             && self.is_trusted(control)
         {
             return Ok(effort);
@@ -167,7 +168,7 @@ impl Follower<'_> {
             self.workspace.state = State::guess(&self.workspace.operator, self.edges, x);
             self.workspace.state.force = self.guess_force(x, 0.0);
             let held = Control { load: Held::Displacement(x), electric: Electric::Field(0.0) };
-            if self.workspace.solve(self.sheet.law(), held).is_ok() {
+            if self.workspace.solve(self.law, held).is_ok() {
                 return Ok([x, self.workspace.state.force]);
             }
         }
@@ -183,7 +184,7 @@ impl Follower<'_> {
         for _ in 0..MAX_CONTINUATION_STEPS {
             let next = (position + step).min(1.0);
             let control = path(next);
-            let solved = self.workspace.solve(self.sheet.law(), control);
+            let solved = self.workspace.solve(self.law, control);
             let moved = (self.workspace.at.displacement - displacement).abs();
             let near = moved < MAX_PLATE_STEP || matches!(control.load, Held::Displacement(_));
             match solved {
@@ -211,7 +212,7 @@ impl Follower<'_> {
     fn blame(&mut self, wanted: Control, reached: Control, stop: &Stop) -> Error {
         self.workspace.state.copy_from(self.backup);
         self.workspace.linear.discard();
-        let effort = match self.workspace.solve(self.sheet.law(), reached) {
+        let effort = match self.workspace.solve(self.law, reached) {
             Ok(effort) | Err(effort) => effort,
         };
         if let ElasticLaw::Gent { limit } = *self.sheet.law() {
@@ -308,7 +309,7 @@ impl Follower<'_> {
             }
             let held = Control { load: Held::Force(force), electric: Electric::Displacement(next) };
             self.workspace.state.copy_from(self.backup);
-            let solved = self.workspace.solve(self.sheet.law(), held);
+            let solved = self.workspace.solve(self.law, held);
             match (solved, self.stiffness()) {
                 (Ok(found), Some(stiffness)) if stiffness > 0.0 => {
                     effort = found;

@@ -16,6 +16,10 @@ pub use sheet::{Material, Prestretch, Sheet, SheetSpec};
 pub use solution::{Derivatives, Electrodes, Load, Profile, Solution, StaticPoint};
 pub use solver::StaticSolver;
 
+pub(crate) use kernel::{Evaluation, PointLaw, State};
+pub(crate) use linearised::{Cause, Control, Electric, Held, Linearised, Step};
+pub(crate) use solver::SlackStates;
+
 use crate::Error;
 
 /// Degree that resolves ordinary membranes to 1e-12.

@@ -1,7 +1,9 @@
 //! The solver that a user holds: cold and warm solves, scalars, profile and derivatives.
 
+use std::sync::Arc;
+
 use super::continuation::Follower;
-use super::kernel::{Edges, State};
+use super::kernel::{Edges, PointLaw, State};
 use super::linearised::{Cause, Control, Electric, Held, Linearised, Step};
 use super::newton::{Effort, Workspace};
 use super::operator::Operator;
@@ -47,7 +49,7 @@ use crate::collocation::ChebyshevGrid;
 /// ```
 #[derive(Debug, Clone)]
 pub struct StaticSolver {
-    sheet: Sheet,
+    sheet: Arc<Sheet>,
     edges: Edges,
     workspace: Workspace,
     backup: State,
@@ -77,7 +79,7 @@ impl StaticSolver {
         let operator = Operator::new(ChebyshevGrid::logarithmic(degree, sheet.radius_ratio(), 1.0));
         let state = State::guess(&operator, edges, 0.0);
         Ok(Self {
-            sheet: sheet.clone(),
+            sheet: Arc::new(sheet.clone()),
             edges,
             backup: state.clone(),
             workspace: Workspace::new(operator, state),
@@ -109,9 +111,8 @@ impl StaticSolver {
     /// [`Error::Request`], [`Error::BeyondLimitPoint`] (dead load), [`Error::Slack`], [`Error::PullIn`],
     /// [`Error::GentLimit`], [`Error::NotConverged`].
     pub fn solve(&mut self, load: Load, electrodes: Electrodes) -> Result<StaticPoint, Error> {
-        let point = self.solve_even_slack(load, electrodes)?;
-        point.require_taut()?.require_no_pull_in()?;
-        Ok(point)
+        let sheet = Arc::clone(&self.sheet);
+        self.solve_with(sheet.law(), load, electrodes, SlackStates::Refused)
     }
 
     /// As [`StaticSolver::solve`], but a slack state, in which the equations hold and a real membrane wrinkles, is returned.
@@ -119,10 +120,26 @@ impl StaticSolver {
     /// # Errors
     /// Those of [`StaticSolver::solve`] but for a state that is slack itself.
     pub fn solve_even_slack(&mut self, load: Load, electrodes: Electrodes) -> Result<StaticPoint, Error> {
+        let sheet = Arc::clone(&self.sheet);
+        self.solve_with(sheet.law(), load, electrodes, SlackStates::Returned)
+    }
+
+    /// [`StaticSolver::solve`] with another law at the nodes than the sheet's own, stiffer by branches that stand still.
+    pub(crate) fn solve_with<L: PointLaw>(
+        &mut self,
+        law: &L,
+        load: Load,
+        electrodes: Electrodes,
+        slack: SlackStates,
+    ) -> Result<StaticPoint, Error> {
         let control = self.control(load, electrodes)?;
         self.known = None;
-        let effort = self.follower().trace(control)?;
-        Ok(self.summarise(effort))
+        let effort = self.follower(law).trace(control)?;
+        let point = self.summarise(effort);
+        if slack == SlackStates::Refused {
+            point.require_taut()?.require_no_pull_in()?;
+        }
+        Ok(point)
     }
 
     /// The equilibrium near the last one: Newton from its state, and [`StaticSolver::solve`] where that fails or leads far.
@@ -130,24 +147,48 @@ impl StaticSolver {
     /// # Errors
     /// Those of [`StaticSolver::solve`].
     pub fn solve_near(&mut self, load: Load, electrodes: Electrodes) -> Result<StaticPoint, Error> {
+        let sheet = Arc::clone(&self.sheet);
+        self.solve_near_with(sheet.law(), load, electrodes, SlackStates::Refused)
+    }
+
+    /// [`StaticSolver::solve_near`] with another law at the nodes than the sheet's own.
+    pub(crate) fn solve_near_with<L: PointLaw>(
+        &mut self,
+        law: &L,
+        load: Load,
+        electrodes: Electrodes,
+        slack: SlackStates,
+    ) -> Result<StaticPoint, Error> {
         let control = self.control(load, electrodes)?;
         if self.known.is_none() {
-            return self.solve(load, electrodes);
+            return self.solve_with(law, load, electrodes, slack);
         }
-        self.backup.copy_from(&self.workspace.state);
         let before = self.workspace.at.displacement;
-        if let Ok(effort) = self.workspace.solve(self.sheet.law(), control) {
-            let moved = (self.workspace.at.displacement - before).abs();
+        if let Ok(effort) = self.workspace.solve(law, control) {
             let at = &self.workspace.at;
-            if moved < LARGEST_MOVE
-                && at.least_stress() > 0.0
-                && at.least_modulus > 0.0
-                && self.follower().is_stable(control)
-            {
+            let moved = (at.displacement - before).abs();
+            let sound = at.least_stress() > 0.0 && at.least_modulus > 0.0;
+            let near = moved < LARGEST_MOVE && at.least_s11 > 0.0;
+            if near && (sound || slack == SlackStates::Returned) && self.follower(law).is_stable(control) {
                 return Ok(self.summarise(effort));
             }
         }
-        self.solve(load, electrodes)
+        self.solve_with(law, load, electrodes, slack)
+    }
+
+    /// Goes back to an equilibrium that was solved before.
+    pub(crate) fn resume(&mut self, state: &State, point: StaticPoint) {
+        self.workspace.state.copy_from(state);
+        self.workspace.at.displacement = point.displacement_m / self.sheet.length_scale_m();
+        self.known = Some(point);
+    }
+
+    pub(crate) fn state(&self) -> &State {
+        &self.workspace.state
+    }
+
+    pub(crate) fn operator(&self) -> &Operator {
+        &self.workspace.operator
     }
 
     /// Scalars of the last equilibrium.
@@ -245,15 +286,16 @@ impl StaticSolver {
     pub fn limit_voltage(&mut self, force_n: f64) -> Result<StaticPoint, Error> {
         let control = self.control(Load::ForceN(force_n), Electrodes::VoltageV(0.0))?;
         self.known = None;
-        self.follower().trace(control)?;
-        let force = force_n / self.sheet.force_scale_n();
-        let effort = self.follower().voltage_limit(force)?;
+        let sheet = Arc::clone(&self.sheet);
+        self.follower(sheet.law()).trace(control)?;
+        let effort = self.follower(sheet.law()).voltage_limit(force_n / sheet.force_scale_n())?;
         Ok(self.summarise(effort))
     }
 
-    fn follower(&mut self) -> Follower<'_> {
+    fn follower<'a, L>(&'a mut self, law: &'a L) -> Follower<'a, L> {
         Follower {
             sheet: &self.sheet,
+            law,
             edges: self.edges,
             workspace: &mut self.workspace,
             backup: &mut self.backup,
@@ -325,6 +367,15 @@ pub(super) fn summarise(sheet: &Sheet, workspace: &Workspace, effort: Effort) ->
 pub(super) fn edges(sheet: &Sheet) -> Edges {
     let length = sheet.length_scale_m();
     Edges { inner: sheet.spec().inner_radius_m / length, outer: sheet.spec().outer_radius_m / length }
+}
+
+/// What becomes of a state in which the membrane would wrinkle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SlackStates {
+    /// A typed refusal.
+    Refused,
+    /// Returned as it is: the equations hold in it.
+    Returned,
 }
 
 /// A warm solve may move the plate by this part of B: further, it may have left the branch.

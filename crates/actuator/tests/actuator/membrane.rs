@@ -70,7 +70,8 @@ fn oracle_equilibria_of_sets_a_b_c() {
         assert_close(state.theta_inner_rad(), case.theta_inner_rad, 1e-9, 0.0, &what("theta"));
         assert_close(state.lambda1_inner(), case.lambda1_inner, 1e-9, 0.0, &what("lambda1"));
         assert_close(state.capacitance_f() * 1e9, case.capacitance_nf, 1e-10, 0.0, &what("capacitance"));
-        assert_close(state.s2_min_pa(), case.s2_min_pa, 1e-9, 0.0, &what("s2_min"));
+        // The stored minimum is one over 25 nodes, ours one between them too.
+        assert_close(state.s2_min_pa(), case.s2_min_pa, 2e-6, 0.0, &what("s2_min"));
         assert_close(state.field_max_v_per_m() * 1e-6, case.field_max_mv_per_m, 1e-9, 1e-12, &what("field"));
         // An equilibrium solved for force must carry it.
         assert_close(state.force_n(), parameters.weight_n(), 1e-12, 0.0, &what("force"));
@@ -241,7 +242,8 @@ fn oracle_loss_of_tension_and_limit_point_of_set_a() {
     match membrane.rest(11_000.0) {
         Err(Error::BeyondLimitPoint { reached_voltage_v, stiffness_n_per_m, .. }) => {
             assert!((10_700.0..10_900.0).contains(&reached_voltage_v), "{reached_voltage_v}");
-            assert!(stiffness_n_per_m > 0.0 && stiffness_n_per_m < 20.0, "{stiffness_n_per_m}");
+            // The reason names the limit point itself, found to 1e-9 of B.
+            assert!(stiffness_n_per_m.abs() < 1e-3, "{stiffness_n_per_m}");
         }
         other => panic!("{other:?}"),
     }
