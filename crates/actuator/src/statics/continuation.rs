@@ -9,7 +9,7 @@ use crate::Error;
 use crate::material::{ElasticLaw, first_invariant};
 
 /// Steps on one leg of the continuation.
-const MAX_CONTINUATION_STEPS: usize = 400;
+const MAX_CONTINUATION_STEPS: usize = 150;
 /// Smallest part of a leg that continuation tries before it gives up.
 const MIN_CONTINUATION_STEP: f64 = 1e-5;
 /// Continuation rejects a step at dead load that moves the plate by more than this part of B: it may have left the branch.
@@ -18,6 +18,8 @@ const MAX_PLATE_STEP: f64 = 0.1;
 const UNSTRETCHED_START: f64 = 0.5;
 /// Part of the Gent limit beyond which a failure is blamed on it.
 const GENT_BLAME: f64 = 0.95;
+/// Stress over mu below which a path without voltage has ended because tension is lost.
+const SLACK_BLAME: f64 = 1e-3;
 /// Modulus over mu below which a failure is blamed on pull-in.
 const PULL_IN_BLAME: f64 = 1e-2;
 /// Largest slope of the guessed profile: steeper guesses leave Newton's reach.
@@ -172,6 +174,19 @@ impl<L: PointLaw> Follower<'_, L> {
                 return Ok([x, self.workspace.state.force]);
             }
         }
+        if let ElasticLaw::Gent { limit } = *self.sheet.law() {
+            // Stretches of the flat linear sheet, which the boundaries ask for on average.
+            let flat = State::guess(&self.workspace.operator, self.edges, 0.0);
+            self.workspace.operator.differentiate(&flat.r, &mut self.workspace.at.p);
+            let hoop =
+                flat.r.iter().zip(&self.workspace.operator.inverse_rho).map(|(r, inverse)| r * inverse);
+            let invariants =
+                self.workspace.at.p.iter().zip(hoop).map(|(&l1, l2)| first_invariant(l1, l2) - 3.0);
+            let invariant = invariants.fold(0.0, f64::max);
+            if invariant > GENT_BLAME * limit {
+                return Err(Error::GentLimit { invariant, gent_limit: limit });
+            }
+        }
         Err(Error::NotConverged { voltage_v: 0.0, residual: f64::INFINITY, iterations: 0 })
     }
 
@@ -223,9 +238,12 @@ impl<L: PointLaw> Follower<'_, L> {
                 return Error::GentLimit { invariant, gent_limit: limit };
             }
         }
-        let slack = self.workspace.at.least_stress() <= 0.0;
+        // Without voltage nothing but the loss of tension ends a path: it may stall just before.
+        let unpowered = self.workspace.state.field <= 0.0;
+        let slack = self.workspace.at.least_stress() <= if unpowered { SLACK_BLAME } else { 0.0 };
         // At a held plate, a path in voltage that ends taut ends in a fold: pull-in without the plate's help.
-        let held = matches!(wanted.load, Held::Displacement(_)) && self.workspace.state.field > 0.0;
+        let held_still = matches!(wanted.load, Held::Displacement(_));
+        let held = held_still && !unpowered;
         if !slack && (held || self.workspace.at.least_s11 < PULL_IN_BLAME) {
             let state = summarise(self.sheet, self.workspace, effort);
             return Error::PullIn {
@@ -239,10 +257,27 @@ impl<L: PointLaw> Follower<'_, L> {
             _ => (self.workspace.state.field.max(0.0) / self.sheet.field_scale_per_v2()).sqrt(),
         };
         match wanted.load {
+            Held::Displacement(_) | Held::Force(_) if slack && (unpowered || held_still) => {
+                let state = summarise(self.sheet, self.workspace, effort);
+                Error::Slack {
+                    voltage_v: state.voltage_v,
+                    displacement_m: state.displacement_m,
+                    s2_min_pa: state.s2_min_pa.min(state.s1_min_pa),
+                }
+            }
             Held::Force(force) => {
                 // The limit point itself, where the path can be followed to it; else the last stable state.
                 let effort = match reached.electric {
-                    Electric::Field(field) if field > 0.0 => self.voltage_limit(force).unwrap_or(effort),
+                    Electric::Field(field) if field > 0.0 => match self.voltage_limit(force) {
+                        Ok(found) => found,
+                        Err(_) => {
+                            self.workspace.state.copy_from(self.backup);
+                            let Workspace { operator, at, state, .. } = &mut *self.workspace;
+                            // A state that was solved has a value.
+                            at.at(operator, self.law, state);
+                            effort
+                        }
+                    },
                     _ => effort,
                 };
                 let stiffness = self.stiffness().unwrap_or(0.0);
@@ -253,14 +288,6 @@ impl<L: PointLaw> Follower<'_, L> {
                     reached_voltage_v: state.voltage_v,
                     reached_force_n: state.force_n,
                     stiffness_n_per_m: stiffness * self.sheet.force_scale_n() / self.sheet.length_scale_m(),
-                }
-            }
-            Held::Displacement(_) if slack => {
-                let state = summarise(self.sheet, self.workspace, effort);
-                Error::Slack {
-                    voltage_v: state.voltage_v,
-                    displacement_m: state.displacement_m,
-                    s2_min_pa: state.s2_min_pa.min(state.s1_min_pa),
                 }
             }
             Held::Displacement(_) => Error::NotConverged {

@@ -46,13 +46,15 @@ pub fn solve(sheet: &Sheet, load: Load, electrodes: Electrodes) -> Result<Soluti
         let last = degree == MAX_DEGREE;
         match solved {
             Ok(_) if last || solver.resolution() < RESOLVED => return solver.solution(),
-            // A coarse grid may fail where a finer one does not; a refusal must stand on the finest that is affordable.
-            Err(error) if last || degree >= REFUSAL_DEGREE => return Err(error),
+            // A coarse grid may fail where a finer one does not: what led to the refusal must be resolved.
+            Err(error) if degree >= REFUSAL_DEGREE || solver.resolution() < REFUSED => return Err(error),
             _ => {}
         }
     }
     Err(Error::NoEquilibrium)
 }
 
-/// Degree from which a refusal is believed.
+/// Resolution of the last state on the path at which a refusal is believed.
+const REFUSED: f64 = 1e-6;
+/// Degree from which a refusal is believed in any case.
 const REFUSAL_DEGREE: usize = 54;

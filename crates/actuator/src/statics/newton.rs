@@ -29,16 +29,18 @@ pub(crate) struct Effort {
 
 /// Estimated error of the state, relative to B, at which iteration ends: a hundred times rounding.
 const ERROR_TOLERANCE: f64 = 1e-13;
-/// Step after which rounding is all that is left.
-const ROUNDING_STEP: f64 = 5e-13;
-/// Largest residual, relative to the larger of mu and the largest stress. Rounding of two differentiations leaves 1e-12.
-const RESIDUAL_TOLERANCE: f64 = 1e-9;
+/// Rounding of a slope over the largest entry of the differentiation matrix.
+const SLOPE_ROUNDING: f64 = 8.0 * f64::EPSILON;
+/// Rounding of the residual, which is differentiated twice, over the square of that entry.
+const RESIDUAL_ROUNDING: f64 = 64.0 * f64::EPSILON;
+/// Residual that a converged state may have in any case, relative to the larger of mu and the largest stress.
+const RESIDUAL_TOLERANCE: f64 = 1e-10;
 /// Old factors are kept while each step is smaller than this part of the one before.
 const CHORD_CONTRACTION: f64 = 0.2;
 /// From a good start Newton takes 3 to 6 iterations; chord steps are cheaper and more.
-const MAX_ITERATIONS: usize = 60;
+const MAX_ITERATIONS: usize = 40;
 /// Halvings of one Newton step.
-const MAX_HALVINGS: usize = 20;
+const MAX_HALVINGS: usize = 12;
 /// Error after a Newton step over the square of the step: an upper end of what is seen well inside the stable range.
 const QUADRATIC: f64 = 10.0;
 /// Part of the residual that a step with old factors must leave behind it.
@@ -74,6 +76,8 @@ impl Workspace {
         }
         let mut norm = self.norm(self.state.field, control);
         let mut fresh = !self.linear.serves(control);
+        let rounding_step = SLOPE_ROUNDING * self.operator.largest;
+        let tolerance = RESIDUAL_TOLERANCE.max(RESIDUAL_ROUNDING * self.operator.largest.powi(2));
         let mut last_size = f64::INFINITY;
         while effort.iterations < MAX_ITERATIONS {
             effort.iterations += 1;
@@ -87,7 +91,7 @@ impl Workspace {
             self.linear.step(&self.operator, &self.at, self.state.field, control, &mut self.step);
             let size = self.step.size();
             let contraction = size / last_size;
-            let worn = !size.is_finite() || contraction > CHORD_CONTRACTION && size > ROUNDING_STEP;
+            let worn = !size.is_finite() || contraction > CHORD_CONTRACTION && size > rounding_step;
             let advance = if !fresh && worn { None } else { self.advance(law, control, norm, size, fresh) };
             let Some(advance) = advance else {
                 if fresh {
@@ -97,10 +101,10 @@ impl Workspace {
                 continue;
             };
             norm = advance.norm;
-            if advance.full && (error_left(size, last_size, fresh) < ERROR_TOLERANCE || size < ROUNDING_STEP)
+            if advance.full && (error_left(size, last_size, fresh) < ERROR_TOLERANCE || size < rounding_step)
             {
                 effort.residual = self.largest_residual(control);
-                let small = effort.residual < RESIDUAL_TOLERANCE * self.at.stress_scale();
+                let small = effort.residual < tolerance * self.at.stress_scale();
                 return if small { Ok(effort) } else { Err(effort) };
             }
             last_size = size;

@@ -14,6 +14,8 @@ pub(crate) struct Operator {
     columns: Vec<f64>,
     /// Row j without its first and last entry, at `j (degree - 1)`.
     inner_rows: Vec<f64>,
+    /// Largest entry of the differentiation matrix: one differentiation multiplies rounding by it.
+    pub(crate) largest: f64,
     grid: ChebyshevGrid,
 }
 
@@ -30,6 +32,7 @@ impl Operator {
             // Storage of nalgebra runs down the columns.
             columns: d.as_slice().to_vec(),
             inner_rows,
+            largest: d.amax(),
             grid,
         }
     }

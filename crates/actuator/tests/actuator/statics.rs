@@ -350,3 +350,28 @@ fn edge_pull_in_of_a_softening_material_is_told_from_slack() {
         other => panic!("{other:?}"),
     }
 }
+
+#[test]
+fn regress_narrow_annulus_is_judged_by_the_rounding_of_its_own_grid() {
+    // A fixed residual tolerance refused what was solved: differentiation on a short interval multiplies rounding.
+    let neo = Material::NeoHookean { mu_pa: MU_PA };
+    for ratio in [0.8, 0.95, 0.99] {
+        let sheet = sheet(neo.clone(), ratio, [2.4; 2]).expect("valid");
+        let x = 0.1 * (1.0 - ratio) * OUTER_M;
+        let found =
+            solve(&sheet, Load::DisplacementM(x), Electrodes::VoltageV(voltage_v(0.2))).expect("taut");
+        // A narrow ring is a cone between two circles at the pre-stretch in the hoop direction.
+        let l1 = 2.4 * (1.0_f64 + (x / OUTER_M / 2.4 / (1.0 - ratio)).powi(2)).sqrt();
+        assert_close(found.lambda1_inner(), l1, 1e-2 * (1.0 - ratio), 0.0, &format!("A/B = {ratio}"));
+    }
+}
+
+#[test]
+fn edge_boundaries_that_stretch_the_flat_sheet_beyond_its_chains_say_so() {
+    let gent = Material::Gent { mu_pa: MU_PA, limit: 20.0 };
+    let sheet = sheet(gent, 0.14, [1.2, 3.0]).expect("each boundary alone is inside");
+    match solve(&sheet, Load::DisplacementM(0.0), Electrodes::VoltageV(0.0)) {
+        Err(Error::GentLimit { invariant, gent_limit }) => assert!(invariant > 0.95 * gent_limit),
+        other => panic!("{other:?}"),
+    }
+}
