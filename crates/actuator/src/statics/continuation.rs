@@ -265,36 +265,38 @@ impl<L: PointLaw> Follower<'_, L> {
                     s2_min_pa: state.s2_min_pa.min(state.s1_min_pa),
                 }
             }
-            Held::Force(force) => {
-                // The limit point itself, where the path can be followed to it; else the last stable state.
-                let effort = match reached.electric {
-                    Electric::Field(field) if field > 0.0 => match self.voltage_limit(force) {
-                        Ok(found) => found,
-                        Err(_) => {
-                            self.workspace.state.copy_from(self.backup);
-                            let Workspace { operator, at, state, .. } = &mut *self.workspace;
-                            // A state that was solved has a value.
-                            at.at(operator, self.law, state);
-                            effort
-                        }
-                    },
-                    _ => effort,
-                };
-                let stiffness = self.stiffness().unwrap_or(0.0);
-                let state = summarise(self.sheet, self.workspace, effort);
-                Error::BeyondLimitPoint {
-                    voltage_v: wanted_v,
-                    force_n: force * self.sheet.force_scale_n(),
-                    reached_voltage_v: state.voltage_v,
-                    reached_force_n: state.force_n,
-                    stiffness_n_per_m: stiffness * self.sheet.force_scale_n() / self.sheet.length_scale_m(),
-                }
-            }
+            Held::Force(force) => self.beyond_limit(force, wanted_v, reached, effort),
             Held::Displacement(_) => Error::NotConverged {
                 voltage_v: wanted_v,
                 residual: stop.effort.residual,
                 iterations: stop.effort.iterations,
             },
+        }
+    }
+
+    /// The refusal of a dead load, with the limit point where the path can be followed to it, else the last stable state.
+    fn beyond_limit(&mut self, force: f64, wanted_v: f64, reached: Control, effort: Effort) -> Error {
+        let effort = match reached.electric {
+            Electric::Field(field) if field > 0.0 => match self.voltage_limit(force) {
+                Ok(found) => found,
+                Err(_) => {
+                    self.workspace.state.copy_from(self.backup);
+                    let Workspace { operator, at, state, .. } = &mut *self.workspace;
+                    // A state that was solved has a value.
+                    at.at(operator, self.law, state);
+                    effort
+                }
+            },
+            _ => effort,
+        };
+        let stiffness = self.stiffness().unwrap_or(0.0);
+        let state = summarise(self.sheet, self.workspace, effort);
+        Error::BeyondLimitPoint {
+            voltage_v: wanted_v,
+            force_n: force * self.sheet.force_scale_n(),
+            reached_voltage_v: state.voltage_v,
+            reached_force_n: state.force_n,
+            stiffness_n_per_m: stiffness * self.sheet.force_scale_n() / self.sheet.length_scale_m(),
         }
     }
 
