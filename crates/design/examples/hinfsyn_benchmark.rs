@@ -52,7 +52,7 @@ fn answer(design: &HinfDesign) -> Value {
         "gamma_design": design.gamma_design,
         "achieved_norm": design.achieved.value,
         "achieved_upper": design.achieved.upper,
-        "n_tests": design.n_feasibility_tests,
+        "n_tests": design.n_feasibility_tests, "isotropy": design.isotropy_error,
         "binding_condition": design.binding_condition,
         "regularization": design.regularization.map(|r| format!("{r:?}")),
         "controller": { "A": rows(k.a()), "B": rows(k.b()), "C": rows(k.c()), "D": rows(k.d()) },

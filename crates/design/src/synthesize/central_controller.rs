@@ -6,10 +6,10 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{DMatrix, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
-use telepulse_lti::riccati::{StableSubspace, Subspace};
+use telepulse_lti::riccati::{self, StableSubspace, Subspace};
 use telepulse_lti::{Continuous, StateSpace};
 
 use super::normalized_plant::NormalizedPlant;
@@ -157,6 +157,19 @@ impl Feasible {
         let slack = FLOOR_ROUNDING * f64::EPSILON * (1.0 / control_definite + 1.0 / filter_definite);
         let floor = (1.0 - slack) / (coupling + 1.0 / (self.gamma * self.gamma)).sqrt();
         if slack < 1.0 && floor.is_finite() { floor } else { 0.0 }
+    }
+
+    /// The gamma that equals `rho(X Y)` here, with `X` and `Y` refined by Newton steps on residuals in doubled precision.
+    ///
+    /// Below the smallest reachable gamma where it is below this one, else above; `None` where the refinement has no answer.
+    pub(super) fn refined_radius(&self, plant: &NormalizedPlant) -> Option<f64> {
+        let (control, filter) = (ControlTerms::new(plant, self.gamma)?, FilterTerms::new(plant, self.gamma)?);
+        let x = riccati::continuous(&control.a, &control.g, &control.q).ok()?.x;
+        let y = riccati::continuous(&filter.a, &filter.g, &filter.q).ok()?.x;
+        // As balanced as the subspace of Y was.
+        let dual = self.y.scaling.map(|d| 1.0 / d);
+        let radius = extreme(&scaled(&x, &dual), scaled(&y, &self.y.scaling));
+        (radius >= 0.0).then(|| radius.sqrt())
     }
 
     /// Returns the central controller of the normalized plant.
@@ -325,19 +338,27 @@ fn extreme_of_product(x: &StableSubspace, y: &StableSubspace) -> Option<f64> {
     if x.x1.is_empty() {
         return Some(0.0);
     }
-    let (xb, yb) = (balanced_solution(x)?, balanced_solution(y)?);
     // X Y is similar to Xb W Yb W with W = Dx⁻¹ Dy⁻¹ (Y lives on the dual coordinates).
     let w = x.scaling.zip_map(&y.scaling, |dx, dy| 1.0 / (dx * dy));
-    let xw = DMatrix::from_fn(xb.nrows(), xb.ncols(), |i, j| w[i] * xb[(i, j)] * w[j]);
-    let eigen = SymmetricEigen::new(yb);
+    Some(extreme(&scaled(&balanced_solution(x)?, &w), balanced_solution(y)?))
+}
+
+/// `diag(d) M diag(d)`.
+fn scaled(m: &DMatrix<f64>, d: &DVector<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| d[i] * m[(i, j)] * d[j])
+}
+
+/// [`extreme_of_product`] of matrices that are of like size in all their entries.
+fn extreme(x: &DMatrix<f64>, y: DMatrix<f64>) -> f64 {
+    let eigen = SymmetricEigen::new(y);
     let mut root = eigen.eigenvectors;
     for (mut column, value) in root.column_iter_mut().zip(eigen.eigenvalues.iter()) {
         column.scale_mut(value.max(0.0).sqrt());
     }
-    let eigenvalues = symmetric(&root.tr_mul(&(xw * &root))).symmetric_eigenvalues();
+    let eigenvalues = symmetric(&root.tr_mul(&(x * &root))).symmetric_eigenvalues();
     let (lowest, highest) = (eigenvalues.min(), eigenvalues.max().max(0.0));
     // Below rounding of zero there is nothing that has passed.
-    Some(if lowest < -PASSED * highest { lowest } else { highest })
+    if lowest < -PASSED * highest { lowest } else { highest }
 }
 
 fn balanced_solution(s: &StableSubspace) -> Option<DMatrix<f64>> {

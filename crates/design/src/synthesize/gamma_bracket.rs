@@ -67,6 +67,7 @@ impl GammaBracket {
         }
         for _ in 0..STEPS_MAX {
             if search.bracket.upper <= search.bracket.lower * (1.0 + options.gamma_tolerance) {
+                search.widen_to_rounding();
                 return Ok(search.bracket);
             }
             search.try_gamma(search.next_gamma())?;
@@ -245,6 +246,19 @@ impl<'a> Search<'a> {
         self.n_lower_moves = 0;
     }
 
+    /// Moves the ends apart where the subspaces are so rough that the radius may be off by more than the tolerance.
+    fn widen_to_rounding(&mut self) {
+        let GammaBracket { lower, upper, .. } = self.bracket;
+        let rough = self.feasible.as_ref().filter(|feasible| feasible.isotropy_error() > ROUGH);
+        let Some(radius) = rough.and_then(|feasible| feasible.refined_radius(self.normalized)) else {
+            return;
+        };
+        if self.bracket.binding == Some(Condition::Coupling) {
+            self.bracket.lower = lower.min(radius * (1.0 - PEAK_ROUNDING));
+        }
+        self.bracket.upper = upper.max(radius * (1.0 + PEAK_ROUNDING));
+    }
+
     fn missed(&mut self, gamma: f64, violation: &Violation) {
         self.note_coupling(gamma, violation.coupling);
         self.failed = Some(Failed { gamma, margin: violation.margin, coupling: violation.coupling });
@@ -296,3 +310,5 @@ const PEAKS_MAX: u32 = 8;
 const PEAK_ROUNDING: f64 = 1e-9;
 /// Halvings of the logarithm: a decade to `1e-12` takes 42.
 const STEPS_MAX: usize = 80;
+/// Isotropy error of a subspace above which its solution is looked at again; most are below 1e-13.
+const ROUGH: f64 = 1e-11;

@@ -125,8 +125,8 @@ impl HinfDesign {
 ///
 /// **Shapes and units**: see [`GeneralizedPlant`] for the loop; feedback is `u = K y`.
 ///
-/// **Method**: normalize `D12` and `D21`, check the assumptions mode by mode, bracket gamma between Parrott's bound and a feasible value by
-/// regula falsi or bisection of its logarithm, design the central controller once at `backoff` times the upper end,
+/// **Method**: normalize `D12` and `D21`, check the assumptions mode by mode, bracket gamma
+/// by the gains that no controller lowers at single frequencies, the coupling of the two Riccati solutions, and tests in between, design the central controller once at `backoff` times the upper end,
 /// undo the normalization (including `D22`), close the loop on the given plant and compute its norm through
 /// [`hinf_norm()`]. A design whose loop is unstable or misses its gamma is discarded and repeated further from the
 /// optimum; it is never returned.
@@ -154,7 +154,7 @@ impl HinfDesign {
 /// ```
 pub fn hinfsyn(plant: &GeneralizedPlant, options: &HinfOptions) -> Result<HinfDesign, Error> {
     check_options(options)?;
-    match regular_design(plant, plant, options) {
+    match regular_design(plant, plant, options, DESIGNS_MAX) {
         Err(
             reason @ (Error::SingularD12 { .. }
             | Error::SingularD21 { .. }
@@ -167,11 +167,13 @@ pub fn hinfsyn(plant: &GeneralizedPlant, options: &HinfOptions) -> Result<HinfDe
     }
 }
 
-/// Designs for `solved`, which must be regular, and measures on `plant`, which has the same `u` and `y`.
+/// Designs for `solved`, which must be regular, and measures on `plant`, which has the same `u` and `y`; tries `n_designs`,
+/// each further from the optimum, before it gives up.
 pub(super) fn regular_design(
     solved: &GeneralizedPlant,
     plant: &GeneralizedPlant,
     options: &HinfOptions,
+    n_designs: usize,
 ) -> Result<HinfDesign, Error> {
     let normalized = NormalizedPlant::new(solved)?;
     assumptions::check(&normalized, Strictness::Certain)?;
@@ -179,8 +181,6 @@ pub(super) fn regular_design(
     let gamma_floor = bracket.upper.max(bracket.lower);
     let mut factor = options.backoff;
     let mut last = Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper };
-    // An enlarged plant has others beside it that may do better than its tenth design.
-    let n_designs = if std::ptr::eq(solved, plant) { DESIGNS_MAX } else { DESIGNS_MAX / 3 };
     for _ in 0..n_designs {
         let gamma = factor * gamma_floor;
         match Attempt::new(plant, &normalized, gamma, options) {

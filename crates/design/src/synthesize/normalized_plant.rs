@@ -124,9 +124,16 @@ struct Factors {
 }
 
 impl Factors {
+    /// `None` unless the columns, brought to like size, are independent.
     fn new(m: &DMatrix<f64>) -> Option<Self> {
         let (rows, cols) = m.shape();
-        let svd = m.clone().svd(true, true);
+        // Each signal has a unit of its own, which must not decide on the rank.
+        let sizes: Vec<f64> = m.column_iter().map(|column| unit_of(column.amax())).collect();
+        let mut m = m.clone();
+        for (mut column, size) in m.column_iter_mut().zip(&sizes) {
+            column.unscale_mut(*size);
+        }
+        let svd = m.svd(true, true);
         let (u, v_t) = (svd.u?, svd.v_t?);
         let largest = svd.singular_values.max();
         if rows < cols || largest == 0.0 || svd.singular_values.min() < RANK_TOLERANCE * largest {
@@ -147,8 +154,16 @@ impl Factors {
         for (mut column, value) in inverse.column_iter_mut().zip(svd.singular_values.iter()) {
             column.unscale_mut(*value);
         }
+        for (mut row, size) in inverse.row_iter_mut().zip(&sizes) {
+            row.unscale_mut(*size);
+        }
         (filled == rows - cols).then_some(Self { rotation, inverse })
     }
+}
+
+/// The power of two next to a size, 1 for 0.
+fn unit_of(size: f64) -> f64 {
+    if size > 0.0 { size.log2().round().exp2() } else { 1.0 }
 }
 
 fn extreme_singular_values(m: &DMatrix<f64>) -> (f64, f64) {

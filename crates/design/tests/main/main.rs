@@ -13,4 +13,5 @@ mod mu_matrix;
 mod mu_system;
 mod printed;
 mod synthesis;
+mod synthesis_laws;
 mod verification;

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, dmatrix};
 use num_complex::Complex64;
 use rand::{RngExt, SeedableRng};
+use telepulse_design::Error;
 use telepulse_design::uncertain::{
     Block, BlockStructure, MuLowerOptions, UncertainSystem, mu_bounds, mu_peak, mu_peak_discrete,
 };
@@ -210,4 +211,58 @@ fn edge_a_sampled_system_with_a_pole_on_the_unit_circle_is_refused_with_it() {
             other => panic!("{pole}: {other:?}"),
         }
     }
+}
+
+#[test]
+fn law_the_performance_margin_is_kept_by_samples_and_lost_by_its_own_perturbation() {
+    let m = StateSpace::<Continuous>::new(
+        dmatrix![0.0, 1.0; -1.0, -0.4],
+        dmatrix![0.0, 0.0, 0.0; 0.3, 0.25, 0.5],
+        dmatrix![1.0, 0.0; 0.3, 0.2; 1.0, 0.1],
+        dmatrix![0.0, 0.0, 0.0; 0.1, 0.0, 0.2; 0.0, 0.0, 0.0],
+    )
+    .expect("valid");
+    let s = structure(&[Block::RepeatedReal { size: 1 }, Block::Full { rows: 1, cols: 1 }]);
+    let sys = UncertainSystem::new(m.clone(), s).expect("ports");
+    let margin = sys.robust_performance_margin(1e-3).expect("proven");
+    let stability = sys.robust_stability_margin(1e-3).expect("proven");
+    assert!(margin.lower < stability.upper, "performance is harder to keep than stability");
+    // Below: no constant perturbation smaller than k, at any of the frequencies, brings the gain to 1 / k.
+    let seed = 67;
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+    let one = Complex64::new(1.0, 0.0);
+    let mut largest = 0.0_f64;
+    for _ in 0..1000 {
+        let response = m.at(10.0_f64.powf(rng.random_range(-2.0..1.5))).expect("no pole");
+        for _ in 0..20 {
+            let (a, phase) = (rng.random_range(-1.0..=1.0), rng.random_range(0.0..6.3));
+            let delta = DMatrix::from_diagonal(&nalgebra::dvector![
+                Complex64::new(margin.lower * a, 0.0),
+                Complex64::from_polar(margin.lower, phase)
+            ]);
+            let part = |r, c, nr, nc| response.view((r, c), (nr, nc)).into_owned();
+            let inner = (DMatrix::identity(2, 2) * one - part(0, 0, 2, 2) * &delta)
+                .try_inverse()
+                .expect("stable for perturbations this small");
+            let gain =
+                (part(2, 2, 1, 1) + part(2, 0, 1, 2) * &delta * inner * part(0, 2, 2, 1))[(0, 0)].norm();
+            largest = largest.max(gain * margin.lower);
+        }
+    }
+    assert!(largest < 1.0, "seed {seed}: {largest}");
+    // Above: the perturbation that was found, performance block included, makes the loop singular.
+    let whole = structure(&[
+        Block::RepeatedReal { size: 1 },
+        Block::Full { rows: 1, cols: 1 },
+        Block::Full { rows: 1, cols: 1 },
+    ]);
+    let found = &margin.peak.lower;
+    let delta = found.perturbation.as_ref().expect("an example was found").matrix(&whole).expect("fits");
+    let response = m.at(margin.peak.omega_rad_s).expect("no pole");
+    let det = (DMatrix::identity(3, 3) * one - response * &delta).determinant().norm();
+    let size = delta.singular_values().max();
+    println!("performance margin {} .. {}, sampled to {largest}", margin.lower, margin.upper);
+    assert!(det < 1e-8, "{det}");
+    assert!((size - margin.upper).abs() < 1e-8 * size && margin.upper >= margin.lower, "{size} {margin:?}");
+    assert!(margin.upper < 1.05 * margin.lower, "{margin:?}");
 }
