@@ -118,7 +118,7 @@ impl Kernel for Reduce<'_> {
 
 /// `columns <- P columns P` with `P = I - tau v vᵀ` on rows and columns from `top`; `columns` starts at column `top`.
 #[inline(always)]
-fn two_sided<const FUSED: bool>(
+pub(crate) fn two_sided<const FUSED: bool>(
     columns: &mut [f64],
     n: usize,
     top: usize,

@@ -32,6 +32,7 @@ pub mod response;
 pub mod riccati;
 pub mod schur;
 pub mod simulate;
+mod square_reduced;
 pub mod state_space;
 pub mod sylvester;
 pub mod transfer_function;

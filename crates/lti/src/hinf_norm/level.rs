@@ -6,6 +6,7 @@ use num_complex::Complex64;
 use super::reduced::Reduced;
 use crate::Error;
 use crate::eigenvalues::eigenvalues;
+use crate::square_reduced::squared_eigenvalues;
 
 /// An eigenvalue of the level's Hamiltonian matrix close to the imaginary axis.
 #[derive(Clone, Copy, Debug)]
@@ -79,7 +80,6 @@ impl LevelTest {
     ///
     /// **Source**: Boyd, Balakrishnan and Kabamba 1989.
     pub(super) fn crossings(&self, level: f64) -> Result<Vec<Crossing>, Error> {
-        let n = self.a.nrows();
         let d = |k: usize| self.d.get(k).copied().unwrap_or(0.0);
         let weight = |k: usize| 1.0 / ((1.0 - d(k) / level) * (1.0 + d(k) / level));
         let (mut weighted_b, mut weighted_c) = (self.b.clone(), self.c.clone());
@@ -98,24 +98,57 @@ impl LevelTest {
             // B diag(d / (level² - d²)) C, with B and C padded to the same number of ports.
             a += &self.b * feedback;
         }
+        let upper = &weighted_b * self.b.transpose();
+        let lower = -self.c.tr_mul(&weighted_c);
+        let mut crossings = match self.crossings_by_squares(&a, &upper, &lower)? {
+            Some(crossings) => crossings,
+            None => self.crossings_by_eigenvalues(&a, &upper, &lower)?,
+        };
+        crossings.sort_by(|x, y| x.frequency.total_cmp(&y.frequency));
+        crossings.dedup_by(|x, y| x.frequency == y.frequency && x.off_axis >= y.off_axis);
+        Ok(crossings)
+    }
+
+    /// Near eigenvalues by the square of the Hamiltonian; `None` where some are too small against the norm for that.
+    fn crossings_by_squares(
+        &self,
+        a: &DMatrix<f64>,
+        upper: &DMatrix<f64>,
+        lower: &DMatrix<f64>,
+    ) -> Result<Option<Vec<Crossing>>, Error> {
+        if a.nrows() < SQUARES_FROM {
+            return Ok(None);
+        }
+        let squares = squared_eigenvalues(a, upper, lower)?;
+        let rounding = ROUNDING * f64::EPSILON * squares.norm;
+        if !squares.values.iter().all(|v| v.norm() > SQUARE_MIN * squares.norm) {
+            return Ok(None);
+        }
+        // A double eigenvalue of the square moves by the root of its rounding.
+        let near = |v: &Complex64| v.re <= (rounding / v.norm()).max(NEAR_AXIS * v.norm());
+        let roots = squares.values.into_iter().map(|v| v.sqrt()).filter(near);
+        Ok(Some(roots.map(|v| self.crossing(Complex64::new(v.re, v.im.abs()))).collect()))
+    }
+
+    fn crossings_by_eigenvalues(
+        &self,
+        a: &DMatrix<f64>,
+        upper: &DMatrix<f64>,
+        lower: &DMatrix<f64>,
+    ) -> Result<Vec<Crossing>, Error> {
+        let n = a.nrows();
         let mut h = DMatrix::zeros(2 * n, 2 * n);
-        h.view_mut((0, 0), (n, n)).copy_from(&a);
-        h.view_mut((0, n), (n, n)).gemm(1.0, &weighted_b, &self.b.transpose(), 0.0);
-        h.view_mut((n, 0), (n, n)).gemm(-1.0, &self.c.transpose(), &weighted_c, 0.0);
+        h.view_mut((0, 0), (n, n)).copy_from(a);
+        h.view_mut((0, n), (n, n)).copy_from(upper);
+        h.view_mut((n, 0), (n, n)).copy_from(lower);
         for j in 0..n {
             for i in 0..n {
                 h[(n + i, n + j)] = -a[(j, i)];
             }
         }
         let rounding = ROUNDING * f64::EPSILON * h.norm();
-        let mut crossings: Vec<Crossing> = eigenvalues(&h)?
-            .into_iter()
-            .filter(|v| v.im >= 0.0 && v.re.abs() <= rounding.max(NEAR_AXIS * v.norm()))
-            .map(|v| self.crossing(v))
-            .collect();
-        crossings.sort_by(|x, y| x.frequency.total_cmp(&y.frequency));
-        crossings.dedup_by(|x, y| x.frequency == y.frequency && x.off_axis >= y.off_axis);
-        Ok(crossings)
+        let near = |v: &Complex64| v.im >= 0.0 && v.re.abs() <= rounding.max(NEAR_AXIS * v.norm());
+        Ok(eigenvalues(&h)?.into_iter().filter(near).map(|v| self.crossing(v)).collect())
     }
 
     fn crossing(&self, value: Complex64) -> Crossing {
@@ -134,3 +167,7 @@ impl LevelTest {
 const ROUNDING: f64 = 100.0;
 /// Eigenvalues this close to the axis, relative to their size, may be crossings that rounding has moved.
 const NEAR_AXIS: f64 = 1e-2;
+/// Order from which the detour over squares pays.
+const SQUARES_FROM: usize = 6;
+/// Squares of eigenvalues this small against the norm of the matrix's square may lose half of their digits where two of them meet.
+const SQUARE_MIN: f64 = 1e-9;
