@@ -210,15 +210,45 @@ impl<D: TimeDomain> StateSpace<D> {
 /// The inverse of the matrix that decides whether a loop is well posed.
 fn inverse_of_well_posed(matrix: &DMatrix<f64>) -> Result<DMatrix<f64>, Error> {
     let n = matrix.nrows();
-    let singular = matrix.clone().singular_values();
+    // Rows and columns by powers of two to like size, so that the units of the signals do not decide.
+    let mut scaled = matrix.clone();
+    let (mut rows, mut cols) = (vec![1.0; n], vec![1.0; n]);
+    for _ in 0..EQUILIBRATION_SWEEPS {
+        for (k, factor) in rows.iter_mut().enumerate() {
+            let step = unit_of(scaled.row(k).amax());
+            scaled.row_mut(k).unscale_mut(step);
+            *factor *= step;
+        }
+        for (k, factor) in cols.iter_mut().enumerate() {
+            let step = unit_of(scaled.column(k).amax());
+            scaled.column_mut(k).unscale_mut(step);
+            *factor *= step;
+        }
+    }
+    let singular = scaled.singular_values();
     let (largest, smallest) = (singular.max(), singular.min());
-    let threshold = 8.0 * n as f64 * f64::EPSILON * largest.max(1.0);
+    let threshold = 8.0 * n as f64 * f64::EPSILON * largest;
     let ill_posed = Error::AlgebraicLoop { smallest_singular_value: smallest, threshold };
     if !smallest.is_finite() || smallest <= threshold {
         return Err(ill_posed);
     }
-    matrix.clone().try_inverse().ok_or(ill_posed)
+    let mut inverse = scaled.try_inverse().ok_or(ill_posed)?;
+    for (k, factor) in rows.iter().enumerate() {
+        inverse.column_mut(k).unscale_mut(*factor);
+    }
+    for (k, factor) in cols.iter().enumerate() {
+        inverse.row_mut(k).unscale_mut(*factor);
+    }
+    Ok(inverse)
 }
+
+/// The power of two next to a size, 1 for 0 and for what is not finite.
+fn unit_of(size: f64) -> f64 {
+    if size > 0.0 && size.is_finite() { size.log2().round().clamp(-500.0, 500.0).exp2() } else { 1.0 }
+}
+
+/// Passes over rows and columns; the first does most of it.
+const EQUILIBRATION_SWEEPS: usize = 3;
 
 fn check_domains<D: TimeDomain>(left: &StateSpace<D>, right: &StateSpace<D>) -> Result<(), Error> {
     if left.domain() == right.domain() {

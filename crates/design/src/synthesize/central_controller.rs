@@ -117,8 +117,9 @@ pub(super) fn test(plant: &NormalizedPlant, gamma: f64) -> Result<Test, Error> {
     let (control_definite, filter_definite) = (definite_margin(&x), definite_margin(&y));
     let coupling = match (control_definite < 0.0, filter_definite < 0.0) {
         (true, true) => None,
-        (_, false) => extreme_of_product(&x, &y),
-        (false, true) => extreme_of_product(&y, &x),
+        (false, false) => extreme_of_product(&x, &y).map(|extremes| extremes.highest),
+        (true, false) => extreme_of_product(&x, &y).map(Extremes::passed),
+        (false, true) => extreme_of_product(&y, &x).map(Extremes::passed),
     }
     .map(|extreme| 1.0 / extreme - 1.0 / (gamma * gamma));
     let violation =
@@ -168,8 +169,7 @@ impl Feasible {
         let y = riccati::continuous(&filter.a, &filter.g, &filter.q).ok()?.x;
         // As balanced as the subspace of Y was.
         let dual = self.y.scaling.map(|d| 1.0 / d);
-        let radius = extreme(&scaled(&x, &dual), scaled(&y, &self.y.scaling));
-        (radius >= 0.0).then(|| radius.sqrt())
+        Some(extremes(&scaled(&x, &dual), scaled(&y, &self.y.scaling)).highest.sqrt())
     }
 
     /// Returns the central controller of the normalized plant.
@@ -332,15 +332,28 @@ fn definite_margin(s: &StableSubspace) -> f64 {
     }
 }
 
-/// The eigenvalue of `X Y` nearest to having passed through infinity, for a positive semidefinite `Y`: the spectral radius where
-/// `X` is semidefinite too, the lowest one where `X` has gone beyond infinity; `None` where one of them is infinite.
-fn extreme_of_product(x: &StableSubspace, y: &StableSubspace) -> Option<f64> {
+/// The lowest and the highest eigenvalue of `X Y`, the latter not below 0.
+struct Extremes {
+    lowest: f64,
+    highest: f64,
+}
+
+impl Extremes {
+    /// The eigenvalue that has passed through infinity where `X` has, else the spectral radius.
+    fn passed(self) -> f64 {
+        // Below rounding of zero there is nothing that has passed.
+        if self.lowest < -PASSED * self.highest { self.lowest } else { self.highest }
+    }
+}
+
+/// Eigenvalues of `X Y` for a positive semidefinite `Y`; `None` where one of them is infinite.
+fn extreme_of_product(x: &StableSubspace, y: &StableSubspace) -> Option<Extremes> {
     if x.x1.is_empty() {
-        return Some(0.0);
+        return Some(Extremes { lowest: 0.0, highest: 0.0 });
     }
     // X Y is similar to Xb W Yb W with W = Dx⁻¹ Dy⁻¹ (Y lives on the dual coordinates).
     let w = x.scaling.zip_map(&y.scaling, |dx, dy| 1.0 / (dx * dy));
-    Some(extreme(&scaled(&balanced_solution(x)?, &w), balanced_solution(y)?))
+    Some(extremes(&scaled(&balanced_solution(x)?, &w), balanced_solution(y)?))
 }
 
 /// `diag(d) M diag(d)`.
@@ -349,16 +362,14 @@ fn scaled(m: &DMatrix<f64>, d: &DVector<f64>) -> DMatrix<f64> {
 }
 
 /// [`extreme_of_product`] of matrices that are of like size in all their entries.
-fn extreme(x: &DMatrix<f64>, y: DMatrix<f64>) -> f64 {
+fn extremes(x: &DMatrix<f64>, y: DMatrix<f64>) -> Extremes {
     let eigen = SymmetricEigen::new(y);
     let mut root = eigen.eigenvectors;
     for (mut column, value) in root.column_iter_mut().zip(eigen.eigenvalues.iter()) {
         column.scale_mut(value.max(0.0).sqrt());
     }
     let eigenvalues = symmetric(&root.tr_mul(&(x * &root))).symmetric_eigenvalues();
-    let (lowest, highest) = (eigenvalues.min(), eigenvalues.max().max(0.0));
-    // Below rounding of zero there is nothing that has passed.
-    if lowest < -PASSED * highest { lowest } else { highest }
+    Extremes { lowest: eigenvalues.min(), highest: eigenvalues.max().max(0.0) }
 }
 
 fn balanced_solution(s: &StableSubspace) -> Option<DMatrix<f64>> {

@@ -270,6 +270,9 @@ impl Resolvent {
 
     /// `M⁻¹ b`.
     fn times(&self, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        if self.matrix.is_empty() {
+            return Some(b.clone());
+        }
         let x = self.lu.solve(b)?;
         let correction = self.lu.solve(&(b - &self.matrix * &x))?;
         Some(x + correction)
@@ -277,6 +280,9 @@ impl Resolvent {
 
     /// `c M⁻¹`.
     fn after(&self, c: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        if self.matrix.is_empty() {
+            return Some(c.clone());
+        }
         let c = c.transpose();
         let x = self.transposed_lu.solve(&c)?;
         let correction = self.transposed_lu.solve(&(&c - self.matrix.tr_mul(&x)))?;

@@ -42,6 +42,7 @@ impl GammaBracket {
         // Up until something is feasible.
         let mut gamma = search.first_gamma();
         let mut factor = GROWTH_FIRST;
+        let mut n_steps = 0;
         while search.bracket.upper.is_infinite() {
             search.try_gamma(gamma.min(options.gamma_max))?;
             if search.bracket.upper.is_infinite() && gamma >= options.gamma_max {
@@ -49,12 +50,20 @@ impl GammaBracket {
                 let binding = search.bracket.binding;
                 return Err(Error::Infeasible { gamma_max: options.gamma_max, binding });
             }
+            if n_steps == STEPS_MAX {
+                return Err(Error::NotConverged {
+                    gamma_lower: search.bracket.lower,
+                    gamma_upper: f64::INFINITY,
+                });
+            }
+            n_steps += 1;
             gamma = if search.at_peak {
                 search.just_above()
             } else {
-                let higher = search.higher_gamma(gamma, factor);
+                let higher = factor * gamma;
                 factor = (factor * factor).min(FACTOR_MAX);
-                higher
+                // Once: a radius that has no meaning must not keep the search where it is.
+                search.radius_hint.take().map_or(higher, |hint| hint.min(higher))
             };
         }
         // Down by factors, where no lower end is known yet.
@@ -90,6 +99,9 @@ struct Search<'a> {
     /// Which end moved last, and how often without the other one.
     n_lower_moves: u32,
     n_upper_moves: u32,
+    /// A gamma that the first failure of the coupling shows to be feasible: the one that equals the radius there.
+    radius_hint: Option<f64>,
+    n_hints: u32,
     /// Set where the last test left the lower end at the gain of a peak over frequency.
     at_peak: bool,
     n_peaks: u32,
@@ -119,6 +131,8 @@ impl<'a> Search<'a> {
             feasible: None,
             n_lower_moves: 0,
             n_upper_moves: 0,
+            radius_hint: None,
+            n_hints: 0,
             at_peak: false,
             n_peaks: 0,
         }
@@ -147,19 +161,6 @@ impl<'a> Search<'a> {
         let control = bound.control >= bound.filter;
         self.bracket.binding = Some(if control { Condition::ControlAxis } else { Condition::FilterAxis });
         true
-    }
-
-    /// Where to look after `gamma` failed and nothing feasible is known.
-    fn higher_gamma(&self, gamma: f64, factor: f64) -> f64 {
-        let higher = factor * gamma;
-        match (self.bracket.binding, self.failed) {
-            // At the gamma that equals the radius here, the radius is smaller.
-            (Some(Condition::Coupling), Some(Failed { gamma: failed, margin: Some(margin), .. })) => {
-                let radius = 1.0 / (margin + failed.powi(-2));
-                (radius.sqrt() * (1.0 + self.tolerance)).max(failed * (1.0 + self.tolerance)).min(higher)
-            }
-            _ => higher,
-        }
     }
 
     fn just_above(&self) -> f64 {
@@ -266,6 +267,11 @@ impl<'a> Search<'a> {
         self.bracket.binding = Some(violation.condition);
         self.n_lower_moves += 1;
         self.n_upper_moves = 0;
+        if let (Condition::Coupling, Some(margin)) = (violation.condition, violation.margin) {
+            let hint = (margin + gamma.powi(-2)).powf(-0.5) * (1.0 + self.tolerance);
+            self.radius_hint = (self.n_hints == 0 && hint > gamma).then_some(hint);
+            self.n_hints += 1;
+        }
         if violation.frequencies.is_empty() || self.n_peaks == PEAKS_MAX {
             return;
         }

@@ -9,6 +9,7 @@ use super::controller_gain::peak_gain;
 use super::controller_speed::slowed_down;
 use super::gamma_bracket::GammaBracket;
 use super::normalized_plant::NormalizedPlant;
+use super::pointwise_bound::{frequencies, pointwise_bound};
 use super::regularize::regularized_design;
 use crate::Error;
 
@@ -177,7 +178,7 @@ pub(super) fn regular_design(
 ) -> Result<HinfDesign, Error> {
     let normalized = NormalizedPlant::new(solved)?;
     assumptions::check(&normalized, Strictness::Certain)?;
-    let bracket = GammaBracket::find(solved, &normalized, options)?;
+    let mut bracket = GammaBracket::find(solved, &normalized, options)?;
     let gamma_floor = bracket.upper.max(bracket.lower);
     let mut factor = options.backoff;
     let mut last = Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper };
@@ -186,6 +187,14 @@ pub(super) fn regular_design(
         match Attempt::new(plant, &normalized, gamma, options) {
             Ok(attempt) => {
                 let (attempt, gamma) = nearer(attempt, plant, &normalized, gamma, gamma_floor, options);
+                // A loop that does better than the lower end proves that the conditions failed by rounding there: what is left is
+                // what no controller can do at single frequencies.
+                if attempt.achieved.value < bracket.lower {
+                    bracket.lower = pointwise_bound(solved, &frequencies(solved)).value();
+                    bracket.lower = bracket.lower.min(attempt.achieved.value);
+                    bracket.upper = bracket.upper.min(attempt.achieved.upper);
+                    bracket.binding = None;
+                }
                 return Ok(HinfDesign {
                     controller: attempt.controller,
                     gamma_lower: bracket.lower,

@@ -4,8 +4,8 @@ use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde_json::Value;
-use telepulse_design::synthesize::{HinfDesign, HinfOptions, hinfsyn};
-use telepulse_lti::{Continuous, GeneralizedPlant, StateSpace};
+use telepulse_design::synthesize::{HinfDesign, HinfOptions, hinfsyn, hinfsyn_discrete};
+use telepulse_lti::{Continuous, Discrete, GeneralizedPlant, SampleTime, StateSpace};
 
 const SIZES: [usize; 4] = [3, 2, 3, 2];
 
@@ -82,9 +82,30 @@ fn law_gamma_does_not_depend_on_coordinates_or_units() {
         let on_u = both(&DMatrix::identity(n_w, n_w), &(invertible(&mut rng, n_u) * 1e4));
         let on_y = both(&DMatrix::identity(n_z, n_z), &(invertible(&mut rng, n_y) * 1e-5));
         same("u and y", &design(a.clone(), &b * &on_u, &on_y * &c, &on_y * &d * &on_u), 1.0);
+        let on_u = both(&DMatrix::identity(n_w, n_w), &(DMatrix::identity(n_u, n_u) * 1e4));
+        let on_y = both(&DMatrix::identity(n_z, n_z), &(DMatrix::identity(n_y, n_y) * 1e4));
+        same("u and y, both small", &design(a.clone(), &b * &on_u, &on_y * &c, &on_y * &d * &on_u), 1.0);
         // Time in another unit.
         same("time", &design(&a * 1e3, &b * 1e3, c.clone(), d.clone()), 1.0);
     }
+}
+
+#[test]
+fn edge_a_plant_without_states_has_a_static_controller() {
+    let empty = |rows, cols| DMatrix::<f64>::zeros(rows, cols);
+    // z = w - u, y = w + noise / 10: the best static gain is 1 / 1.01, and 0.1 / sqrt(1.01) remains.
+    let d = nalgebra::dmatrix![1.0, 0.0, -1.0; 1.0, 0.1, 0.0];
+    let expected = 0.1 / 1.01_f64.sqrt();
+    let sys =
+        StateSpace::<Continuous>::new(empty(0, 0), empty(0, 3), empty(2, 0), d.clone()).expect("shapes");
+    let plant = GeneralizedPlant::new(sys, 2, 1, 1, 1).expect("ports");
+    let found = hinfsyn(&plant, &HinfOptions::default()).expect("regular");
+    assert!(found.achieved.value >= expected * (1.0 - 1e-12) && found.achieved.value <= 1.0101 * expected);
+    let time = SampleTime::new(0.1).expect("positive");
+    let sys = StateSpace::<Discrete>::new(empty(0, 0), empty(0, 3), empty(2, 0), d, time).expect("shapes");
+    let plant = GeneralizedPlant::new(sys, 2, 1, 1, 1).expect("ports");
+    let found = hinfsyn_discrete(&plant, &HinfOptions::default()).expect("regular");
+    assert!(found.achieved.value >= expected * (1.0 - 1e-12) && found.achieved.value <= 1.0101 * expected);
 }
 
 #[test]

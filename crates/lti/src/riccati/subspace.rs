@@ -87,6 +87,9 @@ impl StableSubspace {
     /// **Method**: `W = X1 + i X2` is unitary, `W Wᵀ = P + i Q` has the eigenvalues `exp(2 i theta)`, and its real part
     /// `P = X1 X1ᵀ - X2 X2ᵀ` and imaginary part `Q = X1 X2ᵀ + X2 X1ᵀ` are symmetric and commute.
     pub fn angles(&self) -> Vec<f64> {
+        if self.x1.is_empty() {
+            return Vec::new();
+        }
         let p = &self.x1 * self.x1.transpose() - &self.x2 * self.x2.transpose();
         let cross = &self.x1 * self.x2.transpose();
         let q = &cross + cross.transpose();

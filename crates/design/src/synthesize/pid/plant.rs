@@ -5,6 +5,10 @@ use telepulse_lti::TransferFunction;
 
 use crate::{Error, Result};
 
+/// Dead times that a search over frequency can resolve.
+const DELAY_MIN_S: f64 = 1e-12;
+const DELAY_MAX_S: f64 = 1e12;
+
 /// `G(s) = rational(s) e^{-s delay_s}`, one input and one output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DelayedPlant {
@@ -27,11 +31,11 @@ impl DelayedPlant {
     /// # Ok::<(), telepulse_design::Error>(())
     /// ```
     pub fn new(rational: TransferFunction, delay_s: f64) -> Result<Self> {
-        if !(delay_s.is_finite() && delay_s >= 0.0) {
+        if !(delay_s == 0.0 || (DELAY_MIN_S..=DELAY_MAX_S).contains(&delay_s)) {
             return Err(Error::OutOfRange {
                 key: "delay_s",
                 found: delay_s,
-                allowed: "finite and at least 0",
+                allowed: "0, or from 1e-12 to 1e12",
             });
         }
         if rational.numerator() == [0.0] {
