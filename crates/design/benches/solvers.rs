@@ -1,6 +1,6 @@
 //! Time of every solver of this crate, over the number of states, blocks or terms.
 //!
-//! `cargo bench -p telepulse-design` runs all of it in less than two minutes; `-- h2syn` only what contains that word. Random plants
+//! `cargo bench -p telepulse-design` runs all of it; `-- h2syn` only what contains that word. Random plants
 //! from one seed, drawn like those of `benches/versus_slycot_hinfsyn.py`, which times a peer at the same sizes.
 
 #![allow(missing_docs)]
@@ -182,7 +182,7 @@ fn dk(criterion: &mut Criterion) {
 }
 
 fn pid(criterion: &mut Criterion) {
-    let (g, ws) = paper();
+    let (g, _) = paper();
     let plants = || {
         let delayed = |g: &TransferFunction, delay_s| DelayedPlant::new(g.clone(), delay_s).expect("valid");
         let lags = tf(&[1.0], &[1.0, 3.0, 3.0, 1.0]);
@@ -195,18 +195,16 @@ fn pid(criterion: &mut Criterion) {
     over(criterion, "maximize_integral_gain_pi", plants(), |plant| {
         maximize_integral_gain(plant, PidStructure::Pi, &PidLimits::default()).is_ok()
     });
-    // The derivative filter is ten times as fast as the plant; the paper's actuator keeps `|Ws K S| < 1` as well.
-    let with_limits = plants().map(|(name, plant)| match name {
-        "paper" => (name, (plant, 600.0, PidLimits { ws: Some(ws.clone()), ..PidLimits::default() })),
-        _ => (name, (plant, 10.0, PidLimits::default())),
-    });
-    over(criterion, "maximize_integral_gain_pid", with_limits, |(plant, n_rad_s, limits)| {
-        maximize_integral_gain(plant, PidStructure::Pid { n_rad_s: *n_rad_s }, limits).is_ok()
+    // Lags alone from here on: for the paper's plant `tune_phase_margin` with PI returns an error at the default target, and a PID
+    // under its weight took about 5 s a call.
+    let lags = || plants().into_iter().take(2);
+    over(criterion, "maximize_integral_gain_pid", lags(), |plant| {
+        maximize_integral_gain(plant, PidStructure::Pid { n_rad_s: 10.0 }, &PidLimits::default()).is_ok()
     });
     for (name, terms) in
         [("tune_phase_margin_pi", MarginTerms::Pi), ("tune_phase_margin_pidf", MarginTerms::Pidf)]
     {
-        over(criterion, name, plants(), |plant| {
+        over(criterion, name, lags(), |plant| {
             tune_phase_margin(plant, terms, &MarginTarget::default()).is_ok()
         });
     }
