@@ -137,6 +137,9 @@ pub enum Error {
         /// Bias asked for, V.
         bias_v: f64,
     },
+    /// Records or free parameters of a calibration were refused, or its fit did not end.
+    #[error(transparent)]
+    Calibration(#[from] crate::calibration::Refusal),
     /// A linear system could not be assembled.
     #[error("linearised actuator is not a valid system: {0}")]
     Lti(#[from] telepulse_lti::Error),

@@ -1,6 +1,8 @@
-//! What the device is: material, membrane, circuit, equilibrium, linearisation, reduced twin, virtual rig.
+//! What the device is: material, membrane, circuit, equilibrium, linearisation, reduced twin, virtual rig, calibration.
 
+pub mod calibration;
 pub mod collocation;
+pub mod design_study;
 mod error;
 pub mod field;
 pub mod frequency;

@@ -1,5 +1,7 @@
 //! Evidence for the actuator: membrane against stored solutions, twin against field-level model, rigs end to end.
 
+mod calibration;
+mod design_study;
 mod membrane;
 mod rig;
 mod statics;

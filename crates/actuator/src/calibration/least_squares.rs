@@ -1,0 +1,206 @@
+//! Nonlinear least squares within bounds by a trust region after Levenberg, Marquardt and More.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::Refusal;
+use crate::Error;
+
+/// Where the iteration ended.
+pub(super) struct Minimum {
+    pub(super) parameters: DVector<f64>,
+    pub(super) residual: DVector<f64>,
+    pub(super) jacobian: DMatrix<f64>,
+    /// Whether a parameter is held by a bound that the residual pushes against.
+    pub(super) held: Vec<bool>,
+    pub(super) iterations: usize,
+}
+
+/// The function whose square is minimised.
+pub(super) struct Problem<R, J> {
+    pub(super) residual: R,
+    pub(super) jacobian: J,
+    pub(super) lower: DVector<f64>,
+    pub(super) upper: DVector<f64>,
+}
+
+/// Bound on the iterations; a fit of ten parameters takes 5 to 60.
+const ITERATIONS_MAX: usize = 200;
+/// Largest step, as a Euclidean length in logarithms: the linearisation says nothing beyond a factor of e.
+const RADIUS_MAX: f64 = 1.0;
+/// A step this short that is still refused shows that the differences of the Jacobian see no further.
+const RADIUS_MIN: f64 = 1e-7;
+/// The end: no step within the largest radius is predicted to lower the sum of squares, whose unit is the noise, by more than
+/// this: a hundredth of a standard error in every direction, or 1e-7 of what is left.
+const GAIN_MIN: [f64; 2] = [1e-4, 1e-7];
+/// Where steps are refused at the smallest radius, a predicted gain below this counts as an end too.
+const GAIN_STALLED: [f64; 2] = [1e-2, 1e-3];
+/// Singular values below this part of the largest are errors of the differences.
+const ROUNDING: f64 = 1e-7;
+
+/// Minimises `|residual|^2` from `start` between the bounds.
+///
+/// **Method**: trust region, `(J'J + d I) step = -J'r` with d such that the step has at most the trusted length, through the
+/// singular values of J; logarithms are the scaling. Parameters at a bound that the gradient pushes against are held, the
+/// rest of a step is cut at the bounds. A point where the model has no value counts as worse than any other.
+///
+/// **Source**: Levenberg 1944, Marquardt 1963 in the form of More 1978, with an active set for the bounds.
+///
+/// # Errors
+/// Those of the residual at the start; [`Refusal::NotConverged`].
+pub(super) fn minimize<R, J>(start: DVector<f64>, problem: &Problem<R, J>) -> Result<Minimum, Error>
+where
+    R: Fn(&DVector<f64>) -> Result<DVector<f64>, Error>,
+    J: Fn(&DVector<f64>) -> Result<DMatrix<f64>, Error>,
+{
+    let mut parameters = start;
+    let mut residual = (problem.residual)(&parameters)?;
+    let mut jacobian = (problem.jacobian)(&parameters)?;
+    let (mut radius, mut last_step) = (RADIUS_MAX, f64::INFINITY);
+    for iterations in 1..=ITERATIONS_MAX {
+        let held = held_at_bounds(&parameters, &jacobian.tr_mul(&residual), problem);
+        let model = LinearModel::new(&jacobian, &residual, &held);
+        let cost = residual.norm_squared();
+        let within = |radius: f64| {
+            let next = problem.inside(&(&parameters + model.step(radius)));
+            let predicted = cost - (&residual + &jacobian * (&next - &parameters)).norm_squared();
+            (next, predicted)
+        };
+        let possible = within(RADIUS_MAX).1;
+        let stalled = radius < RADIUS_MIN;
+        let [absolute, relative] = if stalled { GAIN_STALLED } else { GAIN_MIN };
+        if possible <= absolute + relative * cost {
+            return Ok(Minimum { parameters, residual, jacobian, held, iterations });
+        }
+        if stalled {
+            break;
+        }
+        let (next, predicted) = within(radius);
+        last_step = (&next - &parameters).norm();
+        let tried = (problem.residual)(&next).ok().filter(|r| r.iter().all(|value| value.is_finite()));
+        let gain = tried.as_ref().map_or(-1.0, |r| (cost - r.norm_squared()) / predicted);
+        radius = match gain {
+            good if good > 0.75 => (2.0 * radius).min(RADIUS_MAX),
+            fair if fair > 0.25 => radius,
+            _ => 0.25 * last_step.min(radius),
+        };
+        if let Some(better) = tried.filter(|_| gain > 0.0) {
+            (parameters, residual) = (next, better);
+            jacobian = (problem.jacobian)(&parameters)?;
+        }
+    }
+    let rms = (residual.norm_squared() / residual.len() as f64).sqrt();
+    Err(Error::Calibration(Refusal::NotConverged { iterations: ITERATIONS_MAX, last_step, rms }))
+}
+
+impl<R, J> Problem<R, J> {
+    fn inside(&self, parameters: &DVector<f64>) -> DVector<f64> {
+        parameters.zip_zip_map(
+            &self.lower,
+            &self.upper,
+            |p, low, high| if p < low { low } else { p.min(high) },
+        )
+    }
+}
+
+/// Which parameters stand at a bound with the descent pointing out of it.
+fn held_at_bounds<R, J>(
+    parameters: &DVector<f64>,
+    gradient: &DVector<f64>,
+    problem: &Problem<R, J>,
+) -> Vec<bool> {
+    (0..parameters.len())
+        .map(|idx| {
+            let (p, g) = (parameters[idx], gradient[idx]);
+            p <= problem.lower[idx] && g > 0.0 || p >= problem.upper[idx] && g < 0.0
+        })
+        .collect()
+}
+
+/// The linearised residual in its singular directions.
+struct LinearModel {
+    /// Directions as rows, zero for what is held.
+    directions: DMatrix<f64>,
+    values: DVector<f64>,
+    /// Residual along the image of each direction.
+    along: DVector<f64>,
+}
+
+impl LinearModel {
+    fn new(jacobian: &DMatrix<f64>, residual: &DVector<f64>, held: &[bool]) -> Self {
+        let mut loose = jacobian.clone();
+        for p in (0..held.len()).filter(|&p| held[p]) {
+            loose.column_mut(p).fill(0.0);
+        }
+        let svd = loose.svd(true, true);
+        let (Some(u), Some(directions)) = (svd.u, svd.v_t) else {
+            unreachable!("both were asked for");
+        };
+        Self { directions, along: u.tr_mul(residual), values: svd.singular_values }
+    }
+
+    /// Step of at most this length: a longer one is damped until its length is right, by bisection in the logarithm of the
+    /// damping.
+    fn step(&self, radius: f64) -> DVector<f64> {
+        let least = ROUNDING * self.values.max();
+        let damped = |damping: f64| {
+            let amplitudes = self.values.zip_map(&self.along, |value, along| {
+                if value > least { -value * along / (value * value + damping) } else { 0.0 }
+            });
+            self.directions.tr_mul(&amplitudes)
+        };
+        let free = damped(0.0);
+        if free.norm() <= radius {
+            return free;
+        }
+        // |step| <= |J'r|/damping, so the upper end is long enough damped.
+        let steepest = self.values.component_mul(&self.along).norm();
+        let (mut low, mut high) = (1e-20 * (1.0 + steepest), 2.0 * steepest / radius);
+        for _ in 0..60 {
+            let middle = (low * high).sqrt();
+            if damped(middle).norm() > radius { low = middle } else { high = middle }
+        }
+        damped(high)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rosenbrock(lower: f64, upper: f64) -> Minimum {
+        let problem = Problem {
+            residual: |p: &DVector<f64>| {
+                Ok(DVector::from_vec(vec![1e5 * (p[1] - p[0] * p[0]), 1e4 * (1.0 - p[0])]))
+            },
+            jacobian: |p: &DVector<f64>| Ok(DMatrix::from_row_slice(2, 2, &[-2e5 * p[0], 1e5, -1e4, 0.0])),
+            lower: DVector::from_element(2, lower),
+            upper: DVector::from_element(2, upper),
+        };
+        minimize(DVector::from_vec(vec![-1.2, 0.5]), &problem).expect("converges")
+    }
+
+    #[test]
+    fn oracle_rosenbrock_valley_free_and_within_bounds() {
+        let free = rosenbrock(-5.0, 5.0);
+        // A gain of 1e-4 is an error of 1e-6 along x.
+        assert!((&free.parameters - DVector::from_element(2, 1.0)).amax() < 3e-6, "{}", free.parameters);
+        // With both below 0.5 the minimum is x = 0.5, y = x^2: there the slope in y vanishes, and in x it
+        // points out. The end: 1e-7 of the 2.5e7 that are left, 1.6e-5 along y.
+        let bound = rosenbrock(-5.0, 0.5);
+        assert!((bound.parameters[0] - 0.5).abs() < 1e-12 && (bound.parameters[1] - 0.25).abs() < 1e-4);
+        assert_eq!(bound.held, [true, false]);
+    }
+
+    #[test]
+    fn edge_a_residual_without_minimum_is_not_called_converged() {
+        // 1/(2 + p) falls for ever.
+        let problem = Problem {
+            residual: |p: &DVector<f64>| Ok(DVector::from_element(1, (-1e-3 * p[0]).exp())),
+            jacobian: |p: &DVector<f64>| Ok(DMatrix::from_element(1, 1, -1e-3 * (-1e-3 * p[0]).exp())),
+            lower: DVector::from_element(1, -1e9),
+            upper: DVector::from_element(1, 1e9),
+        };
+        let ended = minimize(DVector::zeros(1), &problem);
+        assert!(matches!(ended, Err(Error::Calibration(Refusal::NotConverged { .. }))));
+    }
+}
