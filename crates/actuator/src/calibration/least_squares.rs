@@ -55,8 +55,9 @@ where
     let mut parameters = start;
     let mut residual = (problem.residual)(&parameters)?;
     let mut jacobian = (problem.jacobian)(&parameters)?;
-    let (mut radius, mut last_step) = (RADIUS_MAX, f64::INFINITY);
-    for iterations in 1..=ITERATIONS_MAX {
+    let (mut radius, mut last_step, mut iterations) = (RADIUS_MAX, f64::INFINITY, 0);
+    while iterations < ITERATIONS_MAX {
+        iterations += 1;
         let held = held_at_bounds(&parameters, &jacobian.tr_mul(&residual), problem);
         let model = LinearModel::new(&jacobian, &residual, &held);
         let cost = residual.norm_squared();
@@ -89,7 +90,7 @@ where
         }
     }
     let rms = (residual.norm_squared() / residual.len() as f64).sqrt();
-    Err(Error::Calibration(Refusal::NotConverged { iterations: ITERATIONS_MAX, last_step, rms }))
+    Err(Error::Calibration(Refusal::NotConverged { iterations, last_step, rms }))
 }
 
 impl<R, J> Problem<R, J> {

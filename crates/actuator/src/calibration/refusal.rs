@@ -63,12 +63,13 @@ pub enum Refusal {
     },
     /// The iteration ended without a minimum.
     #[error(
-        "no minimum after {iterations} iterations: last step {last_step} in a logarithm, weighted residual {rms} rms"
+        "no minimum after {iterations} iterations: last step {last_step} in the logarithms, residual {rms} rms of the noise; \
+         the records may pull the parameters to where the membrane has no equilibrium: narrow the bounds or free fewer"
     )]
     NotConverged {
         /// Iterations made.
         iterations: usize,
-        /// Largest change of a logarithm in the last step.
+        /// Length of the last step in the logarithms.
         last_step: f64,
         /// Root mean square of the weighted residuals.
         rms: f64,

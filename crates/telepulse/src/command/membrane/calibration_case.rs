@@ -36,6 +36,7 @@ impl CalibrationCase {
         let Some(Value::Array(free)) = fields.get("free") else {
             bail!("key `free` is missing or no list, expected names of parameters to fit");
         };
+        ensure!(!free.is_empty(), "key `free`: found an empty list, expected names of parameters to fit");
         let free = free.iter().map(|entry| free_parameter(entry, &start)).collect::<Result<Vec<_>>>()?;
         let Some(Value::Array(records)) = fields.get("records") else {
             bail!("key `records` is missing or no list, expected sweeps, steps or creeps");
