@@ -140,6 +140,22 @@ pub enum Error {
     /// Records or free parameters of a calibration were refused, or its fit did not end.
     #[error(transparent)]
     Calibration(#[from] crate::calibration::Refusal),
+    /// No breakdown law has this name.
+    #[error(
+        "breakdown law \"{found}\" is unknown, expected \"smirnov-2018\", \"huang-2012\" or \"koh-2011\""
+    )]
+    UnknownBreakdownLaw {
+        /// The name.
+        found: String,
+    },
+    /// No limit for the voltage follows: something has set in without voltage, or nothing ever does.
+    #[error(
+        "no voltage limit follows under {force_n} N: the membrane has failed without voltage, or never does"
+    )]
+    NoVoltageBorne {
+        /// Dead load, N.
+        force_n: f64,
+    },
     /// A linear system could not be assembled.
     #[error("linearised actuator is not a valid system: {0}")]
     Lti(#[from] telepulse_lti::Error),

@@ -4,6 +4,7 @@ pub mod calibration;
 pub mod collocation;
 pub mod design_study;
 mod error;
+pub mod failure;
 pub mod field;
 pub mod frequency;
 pub mod linearize;

@@ -2,6 +2,7 @@
 
 mod calibration;
 mod design_study;
+mod failure;
 mod membrane;
 mod rig;
 mod statics;
