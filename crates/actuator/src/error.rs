@@ -156,6 +156,16 @@ pub enum Error {
         /// Dead load, N.
         force_n: f64,
     },
+    /// No displacement inside the maps has the capacitance that was measured.
+    #[error("capacitance {capacitance_f} F lies outside of the {min_f} to {max_f} F of the actuator's range")]
+    CapacitanceOutOfRange {
+        /// What was measured, F.
+        capacitance_f: f64,
+        /// Smallest of the range, F.
+        min_f: f64,
+        /// Largest of the range, F.
+        max_f: f64,
+    },
     /// A linear system could not be assembled.
     #[error("linearised actuator is not a valid system: {0}")]
     Lti(#[from] telepulse_lti::Error),

@@ -12,6 +12,7 @@ pub mod material;
 pub mod membrane;
 mod parameters;
 pub mod rig;
+pub mod sensing;
 pub mod statics;
 pub mod twin;
 

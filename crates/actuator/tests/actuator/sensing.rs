@@ -1,0 +1,137 @@
+//! Displacement from voltage and current at the amplifier, with a carrier on the drive of the twin.
+
+use std::f64::consts::TAU;
+
+use telepulse_actuator::sensing::{CapacitiveSensor, SensingSettings};
+use telepulse_actuator::twin::{Inputs, Twin, TwinModel};
+use telepulse_actuator::{Error, ParameterSet};
+
+use crate::{assert_close, uniform};
+
+const CARRIER_V: f64 = 100.0;
+/// Steps of the twin in one sample; two of them are the interval over which current is taken.
+const FINE: usize = 10;
+
+/// The last window of a run with `drive(t)` and the carrier: voltages, currents and the mean true displacement.
+struct Window {
+    voltage_v: Vec<f64>,
+    current_a: Vec<f64>,
+    displacement_mm: f64,
+}
+
+fn record(model: &TwinModel, settings: SensingSettings, start_v: f64, drive: impl Fn(f64) -> f64) -> Window {
+    let mut twin = Twin::new(model);
+    twin.settle(start_v);
+    let dt = settings.sample_time_s / FINE as f64;
+    let leak = model.parameters().spec().leak_resistance_ohm;
+    let n = (settings.n_periods as f64 / (settings.carrier_hz * settings.sample_time_s)).round() as usize;
+    // The carrier starts half a second before the window: ten times the slowest swing's decay time is not needed, since it
+    // moves the plate by less than a micrometre.
+    let total_s = 0.5 + n as f64 * settings.sample_time_s;
+    let n_fine = (total_s / dt).round() as usize;
+    let command = |t: f64| drive(t) + CARRIER_V * (TAU * settings.carrier_hz * t).sin();
+    let charge = |twin: &Twin| {
+        model.capacitance_f(twin.displacement_mm(), twin.membrane_voltage_v()) * twin.membrane_voltage_v()
+    };
+    let mut window = Window { voltage_v: Vec::new(), current_a: Vec::new(), displacement_mm: 0.0 };
+    let mut charges = [charge(&twin); 3];
+    let mut before_mm = twin.displacement_mm();
+    for k in 0..n_fine {
+        // The drive is held over a step: its middle value is second-order accurate.
+        twin.advance(dt, Inputs { drive_v: command((k as f64 + 0.5) * dt), disturbance_n: 0.0 });
+        charges = [charges[1], charges[2], charge(&twin)];
+        // Charges at k - 1, k and k + 1 give the current at k.
+        let t = k as f64 * dt;
+        if k % FINE == 0 && t >= 0.5 - 0.5 * dt && window.voltage_v.len() < n {
+            window.voltage_v.push(command(t));
+            window.current_a.push((charges[2] - charges[0]) / (2.0 * dt) + command(t) / leak);
+            let idx = window.voltage_v.len() as f64 - 0.5;
+            let weight = (1.0 - (TAU * idx / n as f64).cos()) / n as f64;
+            window.displacement_mm += weight * before_mm;
+        }
+        before_mm = twin.displacement_mm();
+    }
+    window
+}
+
+#[test]
+fn law_displacement_is_found_over_the_range_without_noise() {
+    let model = TwinModel::new(&ParameterSet::A.parameters()).expect("valid");
+    let settings = SensingSettings::default();
+    let sensor = CapacitiveSensor::new(&model, settings).expect("valid");
+    for bias_v in [1000.0, 2500.0, 4500.0] {
+        let window = record(&model, settings, bias_v, |_| bias_v);
+        let found = sensor.estimate(&window.voltage_v, &window.current_a).expect("in range");
+        // The plate follows the carrier by (6.05/100)^2 of its static response, which at 4.5 kV passes for 6 um.
+        assert_close(found.displacement_mm, window.displacement_mm, 0.0, 0.01, &format!("{bias_v} V"));
+        assert_close(found.bias_v, bias_v, 1e-3, 0.0, "bias");
+        assert_close(found.series_resistance_ohm, 1.5168e6, 0.01, 0.0, "series resistance");
+    }
+}
+
+#[test]
+fn law_a_moving_plate_is_followed() {
+    let model = TwinModel::new(&ParameterSet::A.parameters()).expect("valid");
+    let settings = SensingSettings::default();
+    let sensor = CapacitiveSensor::new(&model, settings).expect("valid");
+    for phase in [0.0, 1.2, 2.5, 4.0] {
+        let drive = |t: f64| 2500.0 + 800.0 * (TAU * 1.2 * t + phase).sin();
+        let window = record(&model, settings, drive(0.0), drive);
+        let found = sensor.estimate(&window.voltage_v, &window.current_a).expect("in range");
+        // Stroke 0.3 mm; the bias moves by up to 240 V within the window.
+        assert_close(found.displacement_mm, window.displacement_mm, 0.0, 0.02, &format!("phase {phase}"));
+    }
+}
+
+#[test]
+fn law_noise_spreads_the_estimate_as_stated() {
+    let model = TwinModel::new(&ParameterSet::A.parameters()).expect("valid");
+    let settings = SensingSettings::default();
+    let sensor = CapacitiveSensor::new(&model, settings).expect("valid");
+    let window = record(&model, settings, 2500.0, |_| 2500.0);
+    let clean = sensor.estimate(&window.voltage_v, &window.current_a).expect("in range");
+    let mut seed = 4;
+    println!("seed {seed}");
+    let mut normal = || {
+        let (a, b) = (1.0 - uniform(&mut seed), uniform(&mut seed));
+        (-2.0 * a.ln()).sqrt() * (TAU * b).cos()
+    };
+    let n_runs = 400;
+    let mut sum = 0.0;
+    for _ in 0..n_runs {
+        let mut noisy =
+            |record: &[f64], rms: f64| record.iter().map(|v| v + rms * normal()).collect::<Vec<_>>();
+        let voltage = noisy(&window.voltage_v, settings.voltage_noise_v);
+        let current = noisy(&window.current_a, settings.current_noise_a);
+        let found = sensor.estimate(&voltage, &current).expect("in range");
+        sum += (found.displacement_mm - clean.displacement_mm).powi(2);
+    }
+    let spread = (sum / f64::from(n_runs)).sqrt();
+    // The spread of 400 runs is itself known to 1/sqrt(800) = 3.5 %; five of those.
+    assert_close(spread, clean.standard_deviation_mm, 0.18, 0.0, "spread");
+    assert!(clean.standard_deviation_mm < 0.01, "{}", clean.standard_deviation_mm);
+}
+
+#[test]
+fn edge_no_carrier_wrong_length_and_bad_settings_are_refused() {
+    let model = TwinModel::new(&ParameterSet::C.parameters()).expect("valid");
+    let settings = SensingSettings::default();
+    let sensor = CapacitiveSensor::new(&model, settings).expect("valid");
+    let n = sensor.n_samples();
+    assert_eq!(n, 800);
+    let silent = sensor.estimate(&vec![2500.0; n], &vec![0.0; n]);
+    assert!(matches!(silent, Err(Error::CapacitanceOutOfRange { .. })), "{silent:?}");
+    assert!(matches!(sensor.estimate(&[1.0], &[1.0]), Err(Error::Request { .. })));
+    assert!(matches!(sensor.estimate(&vec![f64::NAN; n], &vec![0.0; n]), Err(Error::Request { .. })));
+    for (key, bad) in [
+        ("carrier_hz", SensingSettings { carrier_hz: 0.0, ..settings }),
+        ("n_periods", SensingSettings { n_periods: 1, ..settings }),
+        ("sample_time_s", SensingSettings { sample_time_s: 3.3e-4, ..settings }),
+        ("current_noise_a", SensingSettings { current_noise_a: f64::NAN, ..settings }),
+    ] {
+        match CapacitiveSensor::new(&model, bad) {
+            Err(Error::Parameter { key: found, .. }) => assert_eq!(found, key),
+            other => panic!("{key}: {other:?}"),
+        }
+    }
+}
