@@ -32,6 +32,8 @@ const LARGEST_LIMIT_STEP: f64 = 0.05;
 const LIMIT_REACH: f64 = 4.0;
 /// Halvings and secant steps of the search for the zero of the stiffness.
 const MAX_LIMIT_STEPS: usize = 80;
+/// Smallest part of a bracket that this search tries.
+const LEAST_PART: f64 = 1e-3;
 /// Part of B to which the displacement of a limit point is found; the voltage is quadratic there, so it is far better.
 const LIMIT_TOLERANCE: f64 = 1e-9;
 
@@ -323,12 +325,15 @@ impl<L: PointLaw> Follower<'_, L> {
             voltage_v: (at.state.field.max(0.0) / sheet.field_scale_per_v2()).sqrt(),
         };
         let mut outer = None;
+        // Part of the bracket that a step from its inner end takes.
+        let mut part = 0.5;
+        let mut reached = self.workspace.state.field;
         self.backup.copy_from(&self.workspace.state);
         let mut effort = Effort { iterations: 0, factorizations: 0, residual: 0.0 };
         for _ in 0..MAX_LIMIT_STEPS {
             let next = match outer {
                 None => inner + side * step,
-                Some(outer) => 0.5 * (inner + outer),
+                Some(outer) => inner + part * (outer - inner),
             };
             if outer.is_some() && (next - inner).abs() < LIMIT_TOLERANCE {
                 return Ok(effort);
@@ -340,15 +345,27 @@ impl<L: PointLaw> Follower<'_, L> {
             self.workspace.state.copy_from(self.backup);
             let solved = self.workspace.solve(self.law, held);
             match (solved, self.stiffness()) {
-                (Ok(found), Some(stiffness)) if stiffness > 0.0 => {
+                // Up to the limit point the voltage rises with displacement. A step that has passed it may end on another
+                // branch, which is stiff again: the voltage tells.
+                (Ok(found), Some(stiffness)) if stiffness > 0.0 && self.workspace.state.field >= reached => {
                     effort = found;
+                    reached = self.workspace.state.field;
                     inner = next;
+                    part = 0.5;
                     self.backup.copy_from(&self.workspace.state);
                     step = (1.5 * step).min(LARGEST_LIMIT_STEP);
                 }
-                (Ok(_), _) => outer = Some(next),
-                (Err(_), _) if outer.is_none() && step > LIMIT_TOLERANCE => {
-                    step *= 0.5;
+                (Ok(_), _) => {
+                    outer = Some(next);
+                    part = 0.5;
+                }
+                // Old factors may have led astray; a shorter step with new ones goes on.
+                (Err(_), _) if step > LIMIT_TOLERANCE && part > LEAST_PART => {
+                    if outer.is_none() {
+                        step *= 0.5
+                    } else {
+                        part *= 0.5
+                    }
                     self.workspace.linear.discard();
                 }
                 (Err(_), _) => break,

@@ -217,3 +217,21 @@ fn law_derived_limits_keep_their_distance_and_reach_the_real_time_part() {
     let none = SafetyFactors { voltage: 0.0, ..SafetyFactors::default() };
     assert!(matches!(envelope.supervisor_limits(weight, none), Err(Error::Parameter { .. })));
 }
+
+#[test]
+fn regress_limit_points_are_found_under_every_load() {
+    // At 0.25 and 0.4 N, among others, the search stepped over the limit point on to a stiff branch beyond it, and ended
+    // there without a limit.
+    let mut envelope = envelope(ParameterSet::A, FailureCriteria::default());
+    let limits: Vec<f64> = (2..=40)
+        .map(|k| {
+            let found = envelope.voltage_limits(0.05 * f64::from(k)).expect("borne");
+            let [slack, limit] = [Mechanism::LossOfTension, Mechanism::LimitPoint].map(|m| found.of(m));
+            let (slack, limit) = (slack.expect("before the limit point"), limit.expect("softens"));
+            assert!(slack < limit);
+            limit
+        })
+        .collect();
+    // A larger load leaves less for the voltage.
+    assert!(limits.windows(2).all(|pair| pair[1] < pair[0]), "{limits:?}");
+}

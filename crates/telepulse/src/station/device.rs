@@ -1,7 +1,8 @@
 //! The virtual rigs as a study asks for them, and what may be known about them when a run is judged.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use telepulse_actuator::ParameterSet;
+use telepulse_actuator::failure::{Envelope, FailureCriteria, SafetyFactors};
 use telepulse_actuator::rig::{DisplacementRig, ForceRig, ForceStep, Laser, RigConditions, SensingSine};
 use telepulse_actuator::twin::TwinModel;
 use telepulse_pulse::calibration::Plate;
@@ -24,9 +25,27 @@ pub struct Conditions {
 /// The reduced twin of the study's device.
 ///
 /// # Errors
-/// Where the membrane has no solution for it.
+/// Where the membrane has no solution for it, or the study's voltages are more than it bears.
 pub fn twin(study: &Study) -> Result<TwinModel> {
+    require_within_envelope(study)?;
     twin_of(study.actuator.parameter_set)
+}
+
+/// Refuses a study whose largest voltage lies above what its membrane bears with the usual safety factor.
+fn require_within_envelope(study: &Study) -> Result<()> {
+    let parameters = study.actuator.parameter_set.parameters();
+    let limits = Envelope::new(&parameters.sheet()?, FailureCriteria::default())?
+        .supervisor_limits(parameters.weight_n(), SafetyFactors::default())
+        .context("no voltage limit follows for the membrane of the study")?;
+    ensure!(
+        study.control.max_v <= limits.max_v,
+        "key `control.max_v`: found {} V, allowed is up to {:.0} V: {} sets in at {:.0} V",
+        study.control.max_v,
+        limits.max_v,
+        limits.limited_by.words(),
+        limits.first_failure_v
+    );
+    Ok(())
 }
 
 /// The reduced twin of a parameter set.

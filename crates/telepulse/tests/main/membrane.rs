@@ -6,8 +6,14 @@ use std::process::{Command, Output, Stdio};
 use serde_json::{Value, json};
 
 fn run(case: &str) -> Output {
+    run_task(&["solve"], case)
+}
+
+fn run_task(task: &[&str], case: &str) -> Output {
     let mut child = Command::new(env!("CARGO_BIN_EXE_telepulse"))
-        .args(["membrane", "solve", "-", "--json"])
+        .arg("membrane")
+        .args(task)
+        .args(["-", "--json"])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -131,4 +137,77 @@ fn edge_pre_stretch_below_one_needs_its_flag() {
     case["voltage_v"] = json!(0.0);
     let output = run(&case.to_string());
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn law_map_agrees_with_single_solves_and_writes_its_figures() {
+    let folder = std::env::temp_dir().join(format!("telepulse-membrane-map-{}", std::process::id()));
+    let mut case = set_a();
+    case["map"] = json!({"displacement_m": [0.004, 0.010, 3], "voltage_v": [0, 5000, 2]});
+    let path = folder.to_str().expect("UTF-8").to_owned();
+    let output = run_task(&["map", "--figures", &path], &case.to_string());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let map: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let mut held = set_a();
+    held.as_object_mut().expect("an object").remove("force_n");
+    held["displacement_m"] = map["displacement_m"][1].clone();
+    let alone: Value = serde_json::from_slice(&run(&held.to_string()).stdout).expect("JSON");
+    for key in ["force_n", "capacitance_f", "stiffness_n_per_m", "dforce_dvoltage_n_per_v"] {
+        let [found, expected] = [&map[key][1][1], &alone[key]].map(|v| v.as_f64().expect("a number"));
+        // Two solves of one state, both to 1e-12; derivatives lose two digits.
+        assert!((found / expected - 1.0).abs() < 1e-9, "{key}: {found}, {expected}");
+    }
+    for name in ["membrane-shape", "membrane-fields", "membrane-map"] {
+        let svg = std::fs::read_to_string(folder.join(format!("{name}.svg"))).expect("a figure");
+        assert!(svg.ends_with("</svg>\n") && svg.contains(", mm"), "{name}");
+    }
+    std::fs::remove_dir_all(&folder).expect("a folder of ours");
+}
+
+#[test]
+fn oracle_failure_of_set_a_names_each_limit_and_what_is_unverified() {
+    let mut case = set_a();
+    case["breakdown"] = json!("koh-2011");
+    let output = run_task(&["failure"], &case.to_string());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let limit = |mechanism: &str| {
+        let limits = answer["voltage_limits"].as_array().expect("a list");
+        limits.iter().find(|limit| limit["mechanism"] == mechanism).expect("listed").clone()
+    };
+    // Stored by another solver on a grid of 50 V: the first slack point.
+    let slack = limit("loss-of-tension")["voltage_v"].as_f64().expect("reached");
+    assert!(slack > 10_200.0 && slack <= 10_250.0, "{slack}");
+    assert_eq!(limit("breakdown")["unverified"], json!(true));
+    assert_eq!(limit("loss-of-tension")["unverified"], json!(false));
+    assert_eq!(answer["criteria"]["breakdown_source"]["standing"]["status"], json!("unverified"));
+    assert!(answer["supervisor"]["max_v"].as_f64().expect("a limit") > 5000.0);
+    assert_eq!(answer["map"]["curves"][0]["mechanism"], json!("loss-of-tension"));
+}
+
+#[test]
+fn edge_failed_states_and_bad_criteria_are_refused_with_key_value_and_reason() {
+    type Damage = fn(&mut Value);
+    let cases: [(&str, &[&str], Damage); 8] = [
+        ("failure", &["`voltage_v`", "9500", "electrical breakdown"], |c| c["voltage_v"] = json!(9500.0)),
+        ("failure", &["`force_n`", "rupture", "2.05"], |c| c["rupture_stretch"] = json!(2.05)),
+        ("failure", &["`voltage_v`", "11000", "limit point"], |c| c["voltage_v"] = json!(11_000.0)),
+        ("solve", &["`voltage_v`", "5000", "breakdown"], |c| c["breakdown"] = json!(1e7)),
+        ("solve", &["`breakdown`", "\"paschen\"", "huang-2012"], |c| c["breakdown"] = json!("paschen")),
+        ("solve", &["`amplifier.current_a`", "-1", "positive"], |c| c["amplifier"] = json!({"current_a": -1})),
+        ("map", &["`map.voltage_v`", "[from, to"], |c| c["map"] = json!({"voltage_v": [0, 1]})),
+        ("map", &["`map`", "`speed` is unknown"], |c| c["map"] = json!({"speed": [0, 1, 2]})),
+    ];
+    for (task, parts, damage) in cases {
+        let mut case = set_a();
+        damage(&mut case);
+        let output = run_task(&[task], &case.to_string());
+        let said = String::from_utf8(output.stderr).expect("UTF-8");
+        assert_eq!(output.status.code(), Some(2), "{task} {case}: {said}");
+        assert!(output.stdout.is_empty(), "{task} {case}: answered all the same");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        for part in parts {
+            assert!(said.contains(part), "{task} {case}: `{part}` is not in: {said}");
+        }
+    }
 }

@@ -7,8 +7,10 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use serde_json::{Map, Value};
 use telepulse_actuator::Error;
+use telepulse_actuator::failure::{FailureCriteria, Margin, Mechanism};
 use telepulse_actuator::statics::{Electrodes, Load, Material, Prestretch, Sheet, SheetSpec};
 
+use super::judged::{self, Grids};
 use crate::artefact;
 
 /// A checked case.
@@ -19,12 +21,18 @@ pub(super) struct Case {
     pub(super) sheet: Sheet,
     pub(super) load: Load,
     pub(super) electrodes: Electrodes,
+    /// What the state is judged by.
+    pub(super) criteria: FailureCriteria,
+    /// Whether the case gives criteria of its own; then no command answers with a state that fails by them.
+    pub(super) gives_criteria: bool,
+    /// Axes of maps.
+    pub(super) grids: Grids,
     /// Keys that mean nothing here.
     pub(super) unread: Vec<String>,
 }
 
 /// Keys of a case.
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 15] = [
     "material",
     "a_m",
     "b_m",
@@ -36,6 +44,10 @@ const KEYS: [&str; 11] = [
     "charge_c",
     "force_n",
     "displacement_m",
+    "breakdown",
+    "rupture_stretch",
+    "amplifier",
+    "map",
 ];
 /// Keys that collections of cases carry to tell them apart.
 const DESCRIPTIVE: [&str; 6] = ["id", "name", "category", "source", "note", "comment"];
@@ -98,22 +110,46 @@ impl Case {
             (false, true) => Electrodes::ChargeC(not_negative(fields, "charge_c")?),
             (true, true) => bail!("keys `voltage_v` and `charge_c`: one follows from the other, give one"),
         };
+        let (criteria, gives_criteria) = judged::criteria(fields)?;
+        let grids = judged::grids(fields)?;
         let known: BTreeSet<&str> = KEYS.into_iter().chain(DESCRIPTIVE).collect();
         let unread = fields.keys().filter(|key| !known.contains(key.as_str())).cloned().collect();
-        Ok(Self { name: name.to_owned(), sheet, load, electrodes, unread })
+        Ok(Self { name: name.to_owned(), sheet, load, electrodes, criteria, gives_criteria, grids, unread })
+    }
+
+    fn load_key(&self) -> String {
+        match self.load {
+            Load::ForceN(force) => format!("key `force_n`, found {force}"),
+            Load::DisplacementM(x) => format!("key `displacement_m`, found {x}"),
+        }
+    }
+
+    /// Nothing where the electrodes carry no charge.
+    fn electric_key(&self) -> Option<String> {
+        match self.electrodes {
+            Electrodes::VoltageV(v) if v > 0.0 => Some(format!("key `voltage_v`, found {v}")),
+            Electrodes::ChargeC(charge) if charge > 0.0 => Some(format!("key `charge_c`, found {charge}")),
+            _ => None,
+        }
+    }
+
+    /// Refuses a state in which a margin is used up, with the key that is to blame.
+    pub(super) fn require_left(&self, margins: &[Margin]) -> Result<()> {
+        let Some(worst) = margins.iter().filter(|m| m.left < 0.0).min_by(|a, b| a.left.total_cmp(&b.left))
+        else {
+            return Ok(());
+        };
+        let key = match worst.mechanism {
+            Mechanism::Rupture => self.load_key(),
+            _ => self.electric_key().unwrap_or_else(|| self.load_key()),
+        };
+        bail!("in {}: {key}: {}", self.name, judged::failed(worst))
     }
 
     /// Adds to a refusal which key of the case it is about.
     pub(super) fn explain(&self, error: Error) -> anyhow::Error {
-        let load = match self.load {
-            Load::ForceN(force) => format!("key `force_n`, found {force}"),
-            Load::DisplacementM(x) => format!("key `displacement_m`, found {x}"),
-        };
-        let electric = match self.electrodes {
-            Electrodes::VoltageV(v) if v > 0.0 => Some(format!("key `voltage_v`, found {v}")),
-            Electrodes::ChargeC(charge) if charge > 0.0 => Some(format!("key `charge_c`, found {charge}")),
-            _ => None,
-        };
+        let load = self.load_key();
+        let electric = self.electric_key();
         let key = match &error {
             Error::Request { .. } => String::new(),
             Error::GentLimit { .. } => format!("{load}: "),

@@ -5,6 +5,10 @@ mod calibration_case;
 mod case;
 mod optimize;
 mod pareto_figure;
+mod failure;
+mod figures;
+mod judged;
+mod map;
 mod solve;
 
 use anyhow::Result;
@@ -26,6 +30,10 @@ enum Task {
     Calibrate(calibrate::CalibrateArguments),
     /// Geometry, pre-stretch and load for stroke and bandwidth without failure; exit code 1 where no variant holds.
     Optimize(optimize::OptimizeArguments),
+    /// Force, capacitance, stiffness and dF/dV over displacement and voltage.
+    Map(map::MapArguments),
+    /// What ends the membrane: margins, voltages at which it sets in, a map over load and voltage, limits for a supervisor.
+    Failure(failure::FailureArguments),
 }
 
 pub(super) fn run(typed: &MembraneArguments, json: bool) -> Result<Verdict> {
@@ -33,5 +41,7 @@ pub(super) fn run(typed: &MembraneArguments, json: bool) -> Result<Verdict> {
         Task::Solve(typed) => solve::run(typed, json),
         Task::Calibrate(typed) => calibrate::run(typed, json),
         Task::Optimize(typed) => optimize::run(typed, json),
+        Task::Map(typed) => map::run(typed, json),
+        Task::Failure(typed) => failure::run(typed, json),
     }
 }

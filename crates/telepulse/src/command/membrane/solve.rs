@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use serde::Serialize;
+use telepulse_actuator::failure::Envelope;
 use telepulse_actuator::material::first_invariant;
 use telepulse_actuator::statics::{Load, Material, Sheet, Solution, StaticSolver, solve};
 
@@ -59,6 +60,11 @@ pub(super) fn run(typed: &SolveArguments, json: bool) -> Result<Verdict> {
         notify(&format!("telepulse: keys without a meaning here: {}", case.unread.join(", ")));
     }
     let found = solve(&case.sheet, case.load, case.electrodes).map_err(|error| case.explain(error))?;
+    if case.gives_criteria {
+        let mut envelope = Envelope::new(&case.sheet, case.criteria)?;
+        let judged = envelope.at(case.load, case.electrodes).map_err(|error| case.explain(error))?;
+        case.require_left(&judged.margins)?;
+    }
     let equilibrium = Equilibrium {
         displacement_m: found.point.displacement_m,
         force_n: found.point.force_n,
