@@ -56,6 +56,20 @@ impl Control {
     }
 }
 
+/// What stands between the prescribed quantities and the membrane, dimensionless; nothing in a static solve.
+///
+/// ```text
+/// displacement + compliance f = x            a plate that moves freely, seen over one implicit step of time
+/// v^2 (c + parallel)^2        = charge^2     a resistor to a source, seen over one implicit step of time
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Surroundings {
+    /// In series with a prescribed displacement.
+    pub(crate) compliance: f64,
+    /// In parallel to a prescribed charge.
+    pub(crate) parallel: f64,
+}
+
 /// A change of the state.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Step {
@@ -107,6 +121,7 @@ impl Gradient {
 /// The factored linearisation at one state, kept for as long as it serves.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Linearised {
+    pub(crate) surroundings: Surroundings,
     control: Option<Control>,
     /// Q_p/Q_q = P_q/Q_q, Q_r/Q_q = s2_q/Q_q, 1/Q_q, Q_v/Q_q.
     by_p: Vec<f64>,
@@ -134,6 +149,7 @@ impl Linearised {
     pub(crate) fn new(degree: usize) -> Self {
         let zeros = || vec![0.0; degree + 1];
         Self {
+            surroundings: Surroundings::default(),
             control: None,
             by_p: zeros(),
             by_r: zeros(),
@@ -181,7 +197,7 @@ impl Linearised {
         let (n_inner, force_unknown, field_unknown) =
             (n - 1, control.force_unknown(), control.field_unknown());
         let size = n_inner + usize::from(force_unknown) + usize::from(field_unknown);
-        (self.field, self.capacitance_value) = (field, at.capacitance);
+        (self.field, self.capacitance_value) = (field, at.capacitance + self.surroundings.parallel);
         self.lu.reset(size);
         self.columns(operator, at);
         for i in 1..n {
@@ -205,6 +221,7 @@ impl Linearised {
         let mut next = n_inner;
         if force_unknown {
             self.border_row(operator, next, Border::Displacement, control);
+            self.lu.row_mut(next)[n_inner] += self.surroundings.compliance;
             next += 1;
         }
         match control.electric {
@@ -301,7 +318,7 @@ impl Linearised {
         &mut self,
         operator: &Operator,
         at: &Evaluation,
-        field: f64,
+        state: &State,
         control: Control,
         step: &mut Step,
     ) {
@@ -322,14 +339,14 @@ impl Linearised {
         }
         let mut next = n - 1;
         if let Held::Displacement(target) = control.load {
-            self.rhs[next] = target - at.displacement - shift[0];
+            self.rhs[next] = target - at.displacement - self.surroundings.compliance * state.force - shift[0];
             next += 1;
         }
         match control.electric {
             Electric::Field(_) => {}
             Electric::ChargeSquared(target) => {
                 self.rhs[next] = target
-                    - field * at.capacitance * at.capacitance
+                    - state.field * (at.capacitance + self.surroundings.parallel).powi(2)
                     - 2.0 * self.field * self.capacitance_value * shift[1];
             }
             Electric::Displacement(target) => self.rhs[next] = target - at.displacement - shift[0],

@@ -17,8 +17,9 @@ pub use solution::{Derivatives, Electrodes, Load, Profile, Solution, StaticPoint
 pub use solver::StaticSolver;
 
 pub(crate) use kernel::{Evaluation, PointLaw, State};
-pub(crate) use linearised::{Cause, Control, Electric, Held, Linearised, Step};
-pub(crate) use solver::SlackStates;
+pub(crate) use linearised::{Cause, Control, Electric, Held, Linearised, Step, Surroundings};
+pub(crate) use newton::{Effort, Workspace};
+pub(crate) use solver::{SlackStates, summarise};
 
 use crate::Error;
 

@@ -1,7 +1,7 @@
 //! Newton's method that keeps its factors for as long as they contract.
 
 use super::kernel::{Evaluation, PointLaw, State};
-use super::linearised::{Control, Electric, Held, Linearised, Step};
+use super::linearised::{Control, Electric, Held, Linearised, Step, Surroundings};
 use super::operator::Operator;
 
 /// Scratch of the solver: no solve allocates.
@@ -12,6 +12,8 @@ pub(crate) struct Workspace {
     pub(crate) at: Evaluation,
     pub(crate) linear: Linearised,
     pub(crate) step: Step,
+    /// Estimated error of the state, relative to B, at which iteration ends.
+    pub(crate) tolerance: f64,
     trial: State,
     tried: Evaluation,
 }
@@ -27,7 +29,7 @@ pub(crate) struct Effort {
     pub(crate) residual: f64,
 }
 
-/// Estimated error of the state, relative to B, at which iteration ends: a hundred times rounding.
+/// Error at which a static solve ends: a hundred times rounding.
 const ERROR_TOLERANCE: f64 = 1e-13;
 /// Rounding of a slope over the largest entry of the differentiation matrix.
 const SLOPE_ROUNDING: f64 = 8.0 * f64::EPSILON;
@@ -56,6 +58,7 @@ impl Workspace {
             tried: Evaluation::new(degree),
             linear: Linearised::new(degree),
             step: Step::new(degree),
+            tolerance: ERROR_TOLERANCE,
             trial: state.clone(),
             state,
             operator,
@@ -74,7 +77,7 @@ impl Workspace {
         if !self.at.at(&self.operator, law, &self.state) {
             return Err(effort);
         }
-        let mut norm = self.norm(self.state.field, control);
+        let mut norm = self.norm(&self.state, control);
         let mut fresh = !self.linear.serves(control);
         let rounding_step = SLOPE_ROUNDING * self.operator.largest;
         let tolerance = RESIDUAL_TOLERANCE.max(RESIDUAL_ROUNDING * self.operator.largest.powi(2));
@@ -88,7 +91,7 @@ impl Workspace {
                     break;
                 }
             }
-            self.linear.step(&self.operator, &self.at, self.state.field, control, &mut self.step);
+            self.linear.step(&self.operator, &self.at, &self.state, control, &mut self.step);
             let size = self.step.size();
             let contraction = size / last_size;
             let worn = !size.is_finite() || contraction > CHORD_CONTRACTION && size > rounding_step;
@@ -101,10 +104,10 @@ impl Workspace {
                 continue;
             };
             norm = advance.norm;
-            if advance.full && (error_left(size, last_size, fresh) < ERROR_TOLERANCE || size < rounding_step)
-            {
+            if advance.full && (error_left(size, last_size, fresh) < self.tolerance || size < rounding_step) {
                 effort.residual = self.largest_residual(control);
-                let small = effort.residual < tolerance * self.at.stress_scale();
+                let allowed = tolerance * (self.tolerance / ERROR_TOLERANCE).max(1.0);
+                let small = effort.residual < allowed * self.at.stress_scale();
                 return if small { Ok(effort) } else { Err(effort) };
             }
             last_size = size;
@@ -130,7 +133,7 @@ impl Workspace {
             self.step.apply(&mut self.trial, factor);
             if self.tried.at(&self.operator, law, &self.trial) {
                 std::mem::swap(&mut self.at, &mut self.tried);
-                let next = self.norm(self.trial.field, control);
+                let next = self.norm(&self.trial, control);
                 let enough = if fresh { 1.0 - 1e-4 * factor } else { CHORD_DECREASE };
                 // Near the solution the residual is rounding noise and need not fall.
                 if next <= norm * enough || size < NOISE_STEP {
@@ -145,26 +148,29 @@ impl Workspace {
     }
 
     /// Root of the summed squares of all residuals.
-    fn norm(&self, field: f64, control: Control) -> f64 {
-        let borders = self.border_residuals(field, control);
+    fn norm(&self, state: &State, control: Control) -> f64 {
+        let borders = self.border_residuals(state, control);
         let all = self.at.vertical.iter().chain(&self.at.balance).chain(&borders);
         all.map(|value| value * value).sum::<f64>().sqrt()
     }
 
     fn largest_residual(&self, control: Control) -> f64 {
-        let borders = self.border_residuals(self.state.field, control);
+        let borders = self.border_residuals(&self.state, control);
         let all = self.at.vertical.iter().chain(&self.at.balance).chain(&borders);
         all.fold(0.0, |largest: f64, value| largest.max(value.abs()))
     }
 
-    fn border_residuals(&self, field: f64, control: Control) -> [f64; 2] {
+    fn border_residuals(&self, state: &State, control: Control) -> [f64; 2] {
+        let Surroundings { compliance, parallel } = self.linear.surroundings;
         let load = match control.load {
             Held::Force(_) => 0.0,
-            Held::Displacement(x) => self.at.displacement - x,
+            Held::Displacement(x) => self.at.displacement + compliance * state.force - x,
         };
         let electric = match control.electric {
             Electric::Field(_) => 0.0,
-            Electric::ChargeSquared(target) => field * self.at.capacitance * self.at.capacitance - target,
+            Electric::ChargeSquared(target) => {
+                state.field * (self.at.capacitance + parallel).powi(2) - target
+            }
             Electric::Displacement(x) => self.at.displacement - x,
         };
         [load, electric]

@@ -342,7 +342,7 @@ impl StaticSolver {
 }
 
 /// Scalars of a converged workspace.
-pub(super) fn summarise(sheet: &Sheet, workspace: &Workspace, effort: Effort) -> StaticPoint {
+pub(crate) fn summarise(sheet: &Sheet, workspace: &Workspace, effort: Effort) -> StaticPoint {
     let Workspace { operator, at, state, .. } = workspace;
     let voltage_v = (state.field.max(0.0) / sheet.field_scale_per_v2()).sqrt();
     let capacitance_f = at.capacitance * sheet.capacitance_scale_f();

@@ -3,6 +3,7 @@
 mod calibration;
 mod design_study;
 mod failure;
+mod field;
 mod membrane;
 mod printed;
 mod rig;
