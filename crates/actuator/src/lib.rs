@@ -15,6 +15,7 @@ pub mod rig;
 pub mod sensing;
 pub mod statics;
 pub mod twin;
+pub mod variation;
 
 pub use error::Error;
 pub use parameters::{
