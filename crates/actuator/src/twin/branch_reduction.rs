@@ -31,7 +31,7 @@ pub(super) struct BranchMaps {
 }
 
 /// c_k and K.
-const CHANNELS: usize = STRAIN_MODES + 1;
+pub(super) const CHANNELS: usize = STRAIN_MODES + 1;
 
 /// The maps at one voltage: ascending powers of normalized x.
 pub(super) type BranchSlice = [[f64; CHANNELS]; BRANCH_POINTS_X];
@@ -45,8 +45,6 @@ pub(super) struct BranchPoint {
     pub(super) strain_slope: [f64; STRAIN_MODES],
     /// K, Pa.
     pub(super) stiffness: f64,
-    /// dK by normalized x.
-    pub(super) stiffness_slope: f64,
 }
 
 /// Evaluates a slice and its slope at normalized `u` in -1..1; beyond, by `excess`, the strains go on linearly and K stays.
@@ -64,7 +62,6 @@ pub(super) fn branch_point(slice: &BranchSlice, u: f64, excess: f64) -> BranchPo
         strain: [0.0; STRAIN_MODES],
         strain_slope: [0.0; STRAIN_MODES],
         stiffness: value[STRAIN_MODES],
-        stiffness_slope: if excess == 0.0 { slope[STRAIN_MODES] } else { 0.0 },
     };
     for k in 0..STRAIN_MODES {
         point.strain[k] = value[k] + excess * slope[k];
@@ -137,8 +134,12 @@ impl BranchMaps {
         Ok(Self { coefficients })
     }
 
+    /// Coefficients: `[power of y][power of x][channel]`.
+    pub(super) fn coefficients(&self) -> &[BranchSlice; BRANCH_POINTS_V2] {
+        &self.coefficients
+    }
+
     /// The maps at normalized V^2.
-    #[inline]
     pub(super) fn slice(&self, y: f64) -> BranchSlice {
         let mut slice = self.coefficients[BRANCH_POINTS_V2 - 1];
         for coefficients in self.coefficients[..BRANCH_POINTS_V2 - 1].iter().rev() {

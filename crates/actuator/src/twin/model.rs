@@ -1,7 +1,7 @@
 //! The static maps of the reduced twin, built from membrane solves.
 
-use super::branch_reduction::BranchMaps;
-use super::surface::{Axis, Surface};
+use super::branch_reduction::{BranchMaps, branch_point};
+use super::surface::{Axis, Surface, slope};
 use crate::membrane::{Dashpots, Equilibrium, Load, Membrane};
 use crate::{ActuatorParameters, Error};
 
@@ -136,6 +136,23 @@ impl TwinModel {
     #[must_use]
     pub fn capacitance_f(&self, displacement_mm: f64, voltage_v: f64) -> f64 {
         self.capacitance.at(self.normalized_x(displacement_mm), self.normalized_v2(voltage_v))
+    }
+
+    /// Largest stiffness of the membrane over the rest position and both ends of the map at zero voltage, with the
+    /// branches frozen and without the softening by internal motion, N/m.
+    pub(super) fn stiffest_n_per_m(&self) -> f64 {
+        let y = self.normalized_v2(0.0);
+        let (force, branches) = (self.force.slice(y), self.branches.slice(y));
+        let modulus = self.parameters.branch_modulus_pa();
+        [-1.0, self.x_axis.normalized(self.rest_sag), 1.0]
+            .map(|u| {
+                let point = branch_point(&branches, u, 0.0);
+                let along: f64 = point.strain_slope.iter().map(|g| g * g).sum();
+                let inverse_half = self.x_axis.inverse_half();
+                (slope(&force, u) + modulus * along * inverse_half) * inverse_half
+            })
+            .into_iter()
+            .fold(0.0, f64::max)
     }
 
     fn normalized_x(&self, displacement_mm: f64) -> f64 {

@@ -19,6 +19,10 @@ impl Axis {
         (value - self.center) * self.inverse_half
     }
 
+    pub(super) fn center(&self) -> f64 {
+        self.center
+    }
+
     pub(super) fn half(&self) -> f64 {
         self.half
     }

@@ -1,0 +1,79 @@
+//! What stands on the plate, and the step of a plate that something stiff holds.
+
+use super::Twin;
+use super::lanes::Lanes;
+
+/// What stands on the plate beside the membrane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlateLoad {
+    /// Moving mass, kg.
+    pub mass_kg: f64,
+    /// What holds the plate from above, if anything.
+    pub contact: Option<Contact>,
+}
+
+/// A spring and damper between the plate and a fixed base above it, which can push the plate down and cannot pull.
+///
+/// **Sign**: the contact force is positive in compression, that is while the membrane pushes the plate up against it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// Stiffness, N/m.
+    pub stiffness_n_per_m: f64,
+    /// Damping, N s/m.
+    pub damping_n_s_per_m: f64,
+    /// Displacement of the plate from rest at which the spring just touches it, mm; above (below in value) it presses.
+    pub touch_mm: f64,
+}
+
+impl Contact {
+    /// Compressive force, N, of a plate at `x` that moves with `v`, the rest position being at `rest`.
+    #[inline(always)]
+    pub(super) fn force(&self, rest: f64, x: f64, v: f64) -> f64 {
+        let compression = rest + self.touch_mm * 1e-3 - x;
+        if compression > 0.0 {
+            (self.stiffness_n_per_m * compression - self.damping_n_s_per_m * v).max(0.0)
+        } else {
+            0.0
+        }
+    }
+}
+
+impl Twin {
+    /// One step of a plate in contact.
+    ///
+    /// **Method**: classical Runge-Kutta of order four for plate and contact, since the contact's force may jump; circuit and
+    /// dashpots exactly, as without contact.
+    #[inline(always)]
+    pub(super) fn step_in_contact<const FUSED: bool>(&mut self, contact: &Contact, disturbance: f64) {
+        let (plant, pace, h) = (&self.plant, &self.pace, self.pace_s);
+        let drive = Lanes([self.drive_v]);
+        let at = self.motion;
+        let rest = self.model.rest_sag;
+        let (x, v) = (at.x.0[0], at.v.0[0]);
+        let damping = self.model.parameters.spec().damping_n_s_per_m;
+        let acceleration = |free: Lanes<1>, x: f64, v: f64| {
+            let force = disturbance + contact.force(rest, x, v) - damping * v;
+            free.0[0] + plant.acceleration(Lanes([force])).0[0]
+        };
+        let v_half = (at.membrane_v - drive).times_plus::<FUSED>(pace.circuit_half, drive);
+        let v_end = (v_half - drive).times_plus::<FUSED>(pace.circuit_half, drive);
+        let slice = plant.slice::<FUSED>(v_half);
+        let memory = plant.memory_half::<FUSED>(pace, &at);
+        let a1 = acceleration(at.free, x, v);
+        let (x2, v2) = (x + 0.5 * h * v, v + 0.5 * h * a1);
+        let a2 = acceleration(plant.pull::<FUSED>(&slice, &memory, Lanes([x2])).free, x2, v2);
+        let (x3, v3) = (x + 0.5 * h * v2, v + 0.5 * h * a2);
+        let middle = plant.pull::<FUSED>(&slice, &memory, Lanes([x3]));
+        let a3 = acceleration(middle.free, x3, v3);
+        let (x4, v4) = (x + h * v3, v + h * a3);
+        let slice = plant.slice::<FUSED>(v_end);
+        let end =
+            plant.pull::<FUSED>(&slice, &plant.memory_full::<FUSED>(pace, &at, &middle.strain), Lanes([x4]));
+        let a4 = acceleration(end.free, x4, v4);
+        self.motion.x = Lanes([x + h / 6.0 * (v + 2.0 * (v2 + v3) + v4)]);
+        self.motion.v = Lanes([v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)]);
+        self.motion.membrane_v = v_end;
+        self.motion.remember::<FUSED>(pace, &middle.strain, &end.strain);
+        plant.refresh::<FUSED>(&mut self.motion);
+    }
+}
