@@ -113,6 +113,12 @@ pub enum Error {
         /// Smallest of ds1/dl1 and ds2/dl2 over the nodes, Pa.
         modulus_min_pa: f64,
     },
+    /// A run went beyond all bounds.
+    #[error("the plate's motion grew without bound within the {duration_s} s of the run")]
+    Diverged {
+        /// Length of the run, s.
+        duration_s: f64,
+    },
     /// Derivatives or fields were asked for where nothing has been solved.
     #[error("there is no equilibrium to look at: nothing has been solved, or the last solve failed")]
     NoEquilibrium,

@@ -7,7 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::model::{BRANCH_POINTS_V2, BRANCH_POINTS_X, sweep};
+use super::model::{BRANCH_POINTS_V2, BRANCH_POINTS_X, Slack, sweep};
 use super::surface::{Axis, Surface};
 use crate::Error;
 use crate::membrane::{Dashpots, Equilibrium, Membrane};
@@ -89,49 +89,21 @@ impl BranchMaps {
     }
 
     /// Builds the maps for a membrane with at least one branch.
-    ///
-    /// **Method**: internal mode by singular value decomposition of the frozen-minus-relaxed responses over the grid; the
-    /// other modes likewise of the relaxed strains, orthogonal to it. K is chosen so that the frozen stiffness of the
-    /// reduction equals that of the membrane at every grid point.
     pub(super) fn new(
         membrane: &Membrane,
         rest: &Equilibrium,
         x_axis: Axis,
         v2_axis: Axis,
     ) -> Result<Self, Error> {
-        let modulus = membrane.parameters().branch_modulus_pa();
-        let xs = x_axis.points(BRANCH_POINTS_X);
-        let mut rows = Vec::with_capacity(BRANCH_POINTS_V2);
-        for v2 in v2_axis.points(BRANCH_POINTS_V2) {
-            let states = sweep(membrane, rest, &xs, v2.max(0.0).sqrt())?;
-            let row: Result<Vec<Snapshot>, Error> =
-                states.iter().map(|state| snapshot(membrane, state, rest, x_axis, v2_axis)).collect();
-            rows.push(row?);
-        }
-        let basis = strain_basis(&rows);
-        let mut coordinates = [[[0.0; BRANCH_POINTS_X]; BRANCH_POINTS_V2]; STRAIN_MODES];
-        let mut stiffness = [[0.0; BRANCH_POINTS_X]; BRANCH_POINTS_V2];
-        for (iy, row) in rows.iter().enumerate() {
-            for (ix, snapshot) in row.iter().enumerate() {
-                for (k, mode) in basis.iter().enumerate() {
-                    coordinates[k][iy][ix] = mode.dot(&snapshot.strain);
-                }
-                stiffness[iy][ix] = internal_stiffness(snapshot, &basis, modulus);
-            }
-        }
-        let strain: [Surface<BRANCH_POINTS_X, BRANCH_POINTS_V2>; STRAIN_MODES] =
-            coordinates.map(|values| Surface::interpolate(&values));
-        let stiffness = Surface::<BRANCH_POINTS_X, BRANCH_POINTS_V2>::interpolate(&stiffness);
-        let mut coefficients = [[[0.0; CHANNELS]; BRANCH_POINTS_X]; BRANCH_POINTS_V2];
-        for (iy, slice) in coefficients.iter_mut().enumerate() {
-            for (ix, row) in slice.iter_mut().enumerate() {
-                for (k, surface) in strain.iter().enumerate() {
-                    row[k] = surface.coefficients()[iy][ix];
-                }
-                row[STRAIN_MODES] = stiffness.coefficients()[iy][ix];
-            }
-        }
-        Ok(Self { coefficients })
+        Ok(Self::from_channels(&channels(membrane, rest, x_axis, v2_axis, Slack::Refused)?))
+    }
+
+    /// From the surfaces of c_0, c_1, c_2 and K.
+    pub(super) fn from_channels(channels: &[Surface<BRANCH_POINTS_X, BRANCH_POINTS_V2>; CHANNELS]) -> Self {
+        let coefficients = std::array::from_fn(|iy| {
+            std::array::from_fn(|ix| std::array::from_fn(|c| channels[c].coefficients()[iy][ix]))
+        });
+        Self { coefficients }
     }
 
     /// Coefficients: `[power of y][power of x][channel]`.
@@ -151,6 +123,40 @@ impl BranchMaps {
         }
         slice
     }
+}
+
+/// Surfaces of c_0, c_1, c_2 and K, from membrane solves at the tensor of Chebyshev points.
+///
+/// **Method**: internal mode by singular value decomposition of the frozen-minus-relaxed responses over the grid; the
+/// other modes likewise of the relaxed strains, orthogonal to it. K is chosen so that the frozen stiffness of the
+/// reduction equals that of the membrane at every grid point.
+pub(super) fn channels<const NX: usize, const NY: usize>(
+    membrane: &Membrane,
+    rest: &Equilibrium,
+    x_axis: Axis,
+    v2_axis: Axis,
+    slack: Slack,
+) -> Result<[Surface<NX, NY>; CHANNELS], Error> {
+    let modulus = membrane.parameters().branch_modulus_pa();
+    let xs = x_axis.points(NX);
+    let mut rows = Vec::with_capacity(NY);
+    for v2 in v2_axis.points(NY) {
+        let states = sweep(membrane, rest, &xs, v2.max(0.0).sqrt(), slack)?;
+        let row: Result<Vec<Snapshot>, Error> =
+            states.iter().map(|state| snapshot(membrane, state, rest, x_axis, v2_axis)).collect();
+        rows.push(row?);
+    }
+    let basis = strain_basis(&rows);
+    let mut values = [[[0.0; NX]; NY]; CHANNELS];
+    for (iy, row) in rows.iter().enumerate() {
+        for (ix, snapshot) in row.iter().enumerate() {
+            for (k, mode) in basis.iter().enumerate() {
+                values[k][iy][ix] = mode.dot(&snapshot.strain);
+            }
+            values[STRAIN_MODES][iy][ix] = internal_stiffness(snapshot, &basis, modulus);
+        }
+    }
+    Ok(values.map(|values| Surface::interpolate(&values)))
 }
 
 /// K from k_frozen = k_relaxed + m |dc/dx|^2 - (m dc_0/dx)^2/(K + m), m the sum of the branch moduli.

@@ -1,7 +1,7 @@
 //! What stands on the plate, and the step of a plate that something stiff holds.
 
 use super::Twin;
-use super::lanes::Lanes;
+use super::arithmetic::{Arithmetic, PerTwin};
 
 /// What stands on the plate beside the membrane.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,36 +44,34 @@ impl Twin {
     /// **Method**: classical Runge-Kutta of order four for plate and contact, since the contact's force may jump; circuit and
     /// dashpots exactly, as without contact.
     #[inline(always)]
-    pub(super) fn step_in_contact<const FUSED: bool>(&mut self, contact: &Contact, disturbance: f64) {
-        let (plant, pace, h) = (&self.plant, &self.pace, self.pace_s);
-        let drive = Lanes([self.drive_v]);
+    pub(super) fn step_in_contact<A>(&mut self, by: A, contact: &Contact, disturbance: f64)
+    where
+        A: Arithmetic<One = f64, Four = <f64 as PerTwin>::Four>,
+    {
+        let (plant, pace, h) = (&self.plant, &self.pace, self.step_s);
         let at = self.motion;
-        let rest = self.model.rest_sag;
-        let (x, v) = (at.x.0[0], at.v.0[0]);
+        let (x, v, rest) = (at.x, at.v, self.model.rest_sag);
         let damping = self.model.parameters.spec().damping_n_s_per_m;
-        let acceleration = |free: Lanes<1>, x: f64, v: f64| {
-            let force = disturbance + contact.force(rest, x, v) - damping * v;
-            free.0[0] + plant.acceleration(Lanes([force])).0[0]
+        let acceleration = |free: f64, x: f64, v: f64| {
+            free + plant.acceleration(by, disturbance + contact.force(rest, x, v) - damping * v)
         };
-        let v_half = (at.membrane_v - drive).times_plus::<FUSED>(pace.circuit_half, drive);
-        let v_end = (v_half - drive).times_plus::<FUSED>(pace.circuit_half, drive);
-        let slice = plant.slice::<FUSED>(v_half);
-        let memory = plant.memory_half::<FUSED>(pace, &at);
+        let v_half = pace.toward(by, at.membrane_v, self.drive_v);
+        let v_end = pace.toward(by, v_half, self.drive_v);
+        let (slice, memory) = (plant.slice(by, v_half), pace.memory_half(by, &at));
         let a1 = acceleration(at.free, x, v);
         let (x2, v2) = (x + 0.5 * h * v, v + 0.5 * h * a1);
-        let a2 = acceleration(plant.pull::<FUSED>(&slice, &memory, Lanes([x2])).free, x2, v2);
+        let a2 = acceleration(plant.pull(by, &slice, &memory, x2).free, x2, v2);
         let (x3, v3) = (x + 0.5 * h * v2, v + 0.5 * h * a2);
-        let middle = plant.pull::<FUSED>(&slice, &memory, Lanes([x3]));
+        let middle = plant.pull(by, &slice, &memory, x3);
         let a3 = acceleration(middle.free, x3, v3);
         let (x4, v4) = (x + h * v3, v + h * a3);
-        let slice = plant.slice::<FUSED>(v_end);
-        let end =
-            plant.pull::<FUSED>(&slice, &plant.memory_full::<FUSED>(pace, &at, &middle.strain), Lanes([x4]));
+        let memory = pace.memory_full(by, &at, middle.strain);
+        let end = plant.pull(by, &plant.slice(by, v_end), &memory, x4);
         let a4 = acceleration(end.free, x4, v4);
-        self.motion.x = Lanes([x + h / 6.0 * (v + 2.0 * (v2 + v3) + v4)]);
-        self.motion.v = Lanes([v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)]);
+        self.motion.x = x + h / 6.0 * (v + 2.0 * (v2 + v3) + v4);
+        self.motion.v = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4);
         self.motion.membrane_v = v_end;
-        self.motion.remember::<FUSED>(pace, &middle.strain, &end.strain);
-        plant.refresh::<FUSED>(&mut self.motion);
+        self.motion.remember(by, pace, middle.strain, end.strain);
+        plant.refresh(by, &mut self.motion);
     }
 }

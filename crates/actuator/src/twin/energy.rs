@@ -10,7 +10,7 @@ impl Twin {
     #[must_use]
     pub fn energy_j(&self) -> f64 {
         let half = self.model.x_axis.half();
-        let (x, v) = (self.motion.x.0[0], self.motion.v.0[0]);
+        let (x, v) = (self.motion.x, self.motion.v);
         let y = self.model.normalized_v2(self.membrane_voltage_v());
         let slice = self.model.force.slice(y);
         let (u, excess) = self.clamped(x);
@@ -28,14 +28,14 @@ impl Twin {
             + half * excess * (value(&slice, u) + 0.5 * excess * slope(&slice, u));
         let point = branch_point(&self.model.branches.slice(y), u, excess);
         let moduli = self.model.parameters.spec().branches.iter().map(|b| b.modulus_pa);
-        let load: f64 =
-            moduli.clone().zip(&self.motion.zeta[0]).map(|(m, z)| m * (z.0[0] - point.strain[0])).sum();
+        let dashpots = self.motion.zeta.map(|z| [z.0, z.1, z.2]);
+        let load: f64 = moduli.clone().zip(&dashpots).map(|(m, z)| m * (z[0] - point.strain[0])).sum();
         let internal = load / (point.stiffness + self.model.parameters.branch_modulus_pa());
         let mut branches = 0.5 * internal * internal * point.stiffness;
-        for (k, zeta) in self.motion.zeta.iter().enumerate() {
-            let total = point.strain[k] + if k == 0 { internal } else { 0.0 };
-            for (modulus, z) in moduli.clone().zip(zeta) {
-                branches += 0.5 * modulus * (total - z.0[0]) * (total - z.0[0]);
+        for (modulus, zeta) in moduli.zip(&dashpots) {
+            for (k, z) in zeta.iter().enumerate() {
+                let total = point.strain[k] + if k == 0 { internal } else { 0.0 };
+                branches += 0.5 * modulus * (total - z) * (total - z);
             }
         }
         let mass = self.load.mass_kg;

@@ -1,24 +1,27 @@
 //! The reduced twin: plate, membrane maps, Maxwell branches and circuit, thousands of times faster than real time.
 
+mod abreast;
+mod arithmetic;
 mod branch_reduction;
 mod contact;
 mod energy;
+mod family;
 mod kernel;
-pub(crate) mod lanes;
 mod model;
 mod pace;
+mod stated;
 mod surface;
 
+pub(crate) use abreast::{N_ABREAST, Passage, run_abreast};
 pub use contact::{Contact, PlateLoad};
+pub(crate) use family::{TwinFamily, shape};
 pub use model::{MapRange, TwinModel};
+pub use stated::StatedError;
 
+use arithmetic::{Baseline, Kernel, Processor, Single};
 use kernel::{Motion, Plant};
-use lanes::{Kernel, Lanes};
 use pace::{Pace, PaceOf};
 use surface::{slope, value};
-
-use crate::MAX_BRANCHES;
-use branch_reduction::STRAIN_MODES;
 
 /// What acts from outside during one interval.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -42,12 +45,14 @@ pub struct Inputs {
 pub struct Twin {
     model: TwinModel,
     load: PlateLoad,
-    plant: Plant<1>,
+    plant: Plant<f64>,
     max_step: f64,
-    /// The pace of steps of `pace_s`.
-    pace: Pace<1>,
-    pace_s: f64,
-    motion: Motion<1>,
+    /// The interval that was advanced last is cut into so many steps of this length, at this pace.
+    paced_s: f64,
+    n_steps: u64,
+    step_s: f64,
+    pace: Pace<f64>,
+    motion: Motion<f64>,
     drive_v: f64,
     left_map: bool,
 }
@@ -81,15 +86,10 @@ impl Twin {
             plant,
             max_step,
             pace: Pace::new(&[PaceOf::new(model.parameters(), load.mass_kg)], max_step),
-            pace_s: max_step,
-            motion: Motion {
-                x: Lanes([model.rest_sag]),
-                v: Lanes::ZERO,
-                membrane_v: Lanes::ZERO,
-                zeta: [[Lanes::ZERO; MAX_BRANCHES]; STRAIN_MODES],
-                free: Lanes::ZERO,
-                strain: [Lanes::ZERO; STRAIN_MODES],
-            },
+            paced_s: max_step,
+            n_steps: 1,
+            step_s: max_step,
+            motion: Motion::at(model.rest_sag),
             drive_v: 0.0,
             left_map: false,
             model: model.clone(),
@@ -104,11 +104,11 @@ impl Twin {
     /// membrane and the contact both stiffen the plate.
     pub fn settle(&mut self, bias_v: f64) {
         self.drive_v = self.saturate(bias_v);
-        self.motion.membrane_v = Lanes([self.drive_v]);
-        self.motion.v = Lanes::ZERO;
+        self.motion.membrane_v = self.drive_v;
+        self.motion.v = 0.0;
         let slice = self.model.force.slice(self.model.normalized_v2(self.drive_v));
         let weight = self.load.mass_kg * self.model.parameters.spec().gravity_m_per_s2;
-        let mut x = self.motion.x.0[0];
+        let mut x = self.motion.x;
         for _ in 0..50 {
             let (u, excess) = self.clamped(x);
             let map_slope = slope(&slice, u);
@@ -123,8 +123,8 @@ impl Twin {
                 break;
             }
         }
-        self.motion.x = Lanes([x]);
-        self.plant.relax(&mut self.motion);
+        self.motion.x = x;
+        self.plant.relax(Single(Baseline), &mut self.motion);
         self.left_map = false;
     }
 
@@ -137,15 +137,15 @@ impl Twin {
         if duration_s.is_nan() || duration_s <= 0.0 {
             return;
         }
-        // A thousandth of a step of slack keeps a rounded tick from costing one more step.
-        let n_steps = (duration_s / self.max_step - 1e-3).ceil().max(1.0);
-        let h = duration_s / n_steps;
-        // Exact comparison: another step, however close, has another pace.
-        if h.to_bits() != self.pace_s.to_bits() {
-            self.pace = Pace::new(&[PaceOf::new(self.model.parameters(), self.load.mass_kg)], h);
-            self.pace_s = h;
+        // Exact comparison: another duration, however close, has another pace.
+        if duration_s.to_bits() != self.paced_s.to_bits() {
+            let n_steps = n_steps(duration_s, self.max_step);
+            self.step_s = duration_s / n_steps;
+            self.pace = Pace::new(&[PaceOf::new(self.model.parameters(), self.load.mass_kg)], self.step_s);
+            self.n_steps = n_steps as u64;
+            self.paced_s = duration_s;
         }
-        lanes::run(Steps { twin: self, n_steps: n_steps as u64, disturbance: inputs.disturbance_n });
+        arithmetic::run(Steps { twin: self, disturbance: inputs.disturbance_n });
     }
 
     /// Compressive force of the contact, which pushes the plate down, N.
@@ -179,25 +179,25 @@ impl Twin {
     /// Displacement from the rest position, mm, positive down.
     #[must_use]
     pub fn displacement_mm(&self) -> f64 {
-        (self.motion.x.0[0] - self.model.rest_sag) * 1e3
+        (self.motion.x - self.model.rest_sag) * 1e3
     }
 
     /// Velocity of the plate, mm/s, positive down.
     #[must_use]
     pub fn velocity_mm_per_s(&self) -> f64 {
-        self.motion.v.0[0] * 1e3
+        self.motion.v * 1e3
     }
 
     /// Voltage across the membrane, V.
     #[must_use]
     pub fn membrane_voltage_v(&self) -> f64 {
-        self.motion.membrane_v.0[0]
+        self.motion.membrane_v
     }
 
     /// Compressive force between plate and contact, N; zero without a contact.
     #[must_use]
     pub fn contact_force_n(&self) -> f64 {
-        self.contact_force(self.motion.x.0[0], self.motion.v.0[0])
+        self.contact_force(self.motion.x, self.motion.v)
     }
 
     /// Current from the amplifier, A: charging current C Phi' and the leak across the amplifier's output.
@@ -230,10 +230,21 @@ fn longest_step(model: &TwinModel, mass_kg: f64) -> f64 {
     LONGEST_STEP_S.min(1.0 / (STEPS_PER_RADIAN * omega))
 }
 
+/// A thousandth of a step of slack keeps a rounded tick from costing one more step.
+fn n_steps(duration_s: f64, max_step_s: f64) -> f64 {
+    (duration_s / max_step_s - 1e-3).ceil().max(1.0)
+}
+
+impl TwinModel {
+    /// Steps that a plate under its own load takes over an interval.
+    pub(crate) fn n_steps(&self, interval_s: f64) -> usize {
+        n_steps(interval_s, longest_step(self, self.parameters.spec().mass_kg)) as usize
+    }
+}
+
 /// Steps of one twin, compiled for the processor at hand.
 struct Steps<'a> {
     twin: &'a mut Twin,
-    n_steps: u64,
     disturbance: f64,
 }
 
@@ -241,19 +252,19 @@ impl Kernel for Steps<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let Self { twin, n_steps, disturbance } = self;
+    fn run(self, processor: impl Processor) {
+        let (Self { twin, disturbance }, by) = (self, Single(processor));
         if let Some(contact) = twin.load.contact {
-            for _ in 0..n_steps {
-                twin.step_in_contact::<FUSED>(&contact, disturbance);
-                twin.left_map |= twin.plant.excess(twin.motion.x).any();
+            for _ in 0..twin.n_steps {
+                twin.step_in_contact(by, &contact, disturbance);
+                twin.left_map |= twin.plant.is_outside(by, twin.motion.x);
             }
             return;
         }
-        let pushed = twin.plant.acceleration(Lanes([disturbance]));
-        for _ in 0..n_steps {
-            twin.plant.step::<FUSED>(&twin.pace, &mut twin.motion, Lanes([twin.drive_v]), pushed);
-            twin.left_map |= twin.plant.excess(twin.motion.x).any();
+        let pushed = twin.plant.acceleration(by, disturbance);
+        for _ in 0..twin.n_steps {
+            twin.plant.step(by, &twin.pace, &mut twin.motion, twin.drive_v, pushed);
+            twin.left_map |= twin.plant.is_outside(by, twin.motion.x);
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The static maps of the reduced twin, built from membrane solves.
 
 use super::branch_reduction::{BranchMaps, branch_point};
+use super::stated::StatedError;
 use super::surface::{Axis, Surface, slope};
 use crate::membrane::{Dashpots, Equilibrium, Load, Membrane};
 use crate::{ActuatorParameters, Error};
@@ -14,11 +15,11 @@ pub(super) const BRANCH_POINTS_X: usize = 5;
 /// Points in V^2 of the branch maps.
 pub(super) const BRANCH_POINTS_V2: usize = 3;
 /// How far above the rest position the maps reach, m.
-const REACH_UP_M: f64 = 1.5e-3;
+pub(super) const REACH_UP_M: f64 = 1.5e-3;
 /// How far below the rest position the maps reach, m.
-const REACH_DOWN_M: f64 = 5.0e-3;
+pub(super) const REACH_DOWN_M: f64 = 5.0e-3;
 /// The maps keep this part of the rest sag as distance from the flat membrane, about which the force is odd.
-const LEAST_SAG: f64 = 0.3;
+pub(super) const LEAST_SAG: f64 = 0.3;
 
 /// Range of the maps; beyond it the twin continues them linearly.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,6 +64,7 @@ pub struct TwinModel {
     pub(super) force: Surface<FORCE_POINTS_X, FORCE_POINTS_V2>,
     pub(super) capacitance: Surface<FORCE_POINTS_X, FORCE_POINTS_V2>,
     pub(super) branches: BranchMaps,
+    pub(super) stated_error: Option<StatedError>,
 }
 
 impl TwinModel {
@@ -74,15 +76,12 @@ impl TwinModel {
         let membrane = Membrane::new(parameters)?;
         let rest = membrane.rest(0.0)?;
         let rest_sag = rest.displacement_m();
-        let x_axis =
-            Axis::new(rest_sag - REACH_UP_M.min((1.0 - LEAST_SAG) * rest_sag), rest_sag + REACH_DOWN_M);
-        let full_scale = parameters.spec().full_scale_v;
-        let v2_axis = Axis::new(0.0, full_scale * full_scale);
+        let (x_axis, v2_axis) = axes(parameters, rest_sag);
         let mut force = [[0.0; FORCE_POINTS_X]; FORCE_POINTS_V2];
         let mut capacitance = force;
         let xs = x_axis.points(FORCE_POINTS_X);
         for (iy, v2) in v2_axis.points(FORCE_POINTS_V2).into_iter().enumerate() {
-            let states = sweep(&membrane, &rest, &xs, v2.max(0.0).sqrt())?;
+            let states = sweep(&membrane, &rest, &xs, v2.max(0.0).sqrt(), Slack::Refused)?;
             for (ix, state) in states.iter().enumerate() {
                 force[iy][ix] = state.force_n();
                 capacitance[iy][ix] = state.capacitance_f();
@@ -101,6 +100,7 @@ impl TwinModel {
             force: Surface::interpolate(&force),
             capacitance: Surface::interpolate(&capacitance),
             branches,
+            stated_error: None,
         })
     }
 
@@ -164,18 +164,37 @@ impl TwinModel {
     }
 }
 
+/// The ranges of displacement and V^2 that the maps of `parameters` cover.
+pub(super) fn axes(parameters: &ActuatorParameters, rest_sag: f64) -> (Axis, Axis) {
+    let full_scale = parameters.spec().full_scale_v;
+    let up = REACH_UP_M.min((1.0 - LEAST_SAG) * rest_sag);
+    (Axis::new(rest_sag - up, rest_sag + REACH_DOWN_M), Axis::new(0.0, full_scale * full_scale))
+}
+
+/// What to do about a slack state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Slack {
+    /// It is an error.
+    Refused,
+    /// It is a state like others: someone else judges.
+    Kept,
+}
+
 /// Solves at all `xs` (ascending) at one voltage, each from its neighbour.
 pub(super) fn sweep(
     membrane: &Membrane,
     rest: &Equilibrium,
     xs: &[f64],
     voltage_v: f64,
+    slack: Slack,
 ) -> Result<Vec<Equilibrium>, Error> {
     let mut states: Vec<Equilibrium> = Vec::with_capacity(xs.len());
     for &x in xs {
         let known = states.last().unwrap_or(rest);
         let state = membrane.solve_near(known, Load::DisplacementM(x), voltage_v, &Dashpots::absent())?;
-        state.require_taut()?;
+        if slack == Slack::Refused {
+            state.require_taut()?;
+        }
         states.push(state);
     }
     Ok(states)

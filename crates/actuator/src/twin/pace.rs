@@ -1,6 +1,6 @@
 //! What a step of one length needs to know: exact weights of decaying memory.
 
-use super::lanes::Lanes;
+use super::arithmetic::PerTwin;
 use crate::{ActuatorParameters, MAX_BRANCHES};
 
 /// Weights of a quantity given at the start, the middle and the end of a step, under a decaying memory.
@@ -46,41 +46,48 @@ pub(super) fn parabola(r: f64, order: u32) -> Quadrature {
 /// zeta_i(h) = decay_i zeta_i(0) + start_i E(0) + middle_i E(h/2) + end_i E(h)      exact for parabolic E
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pace<const L: usize> {
+pub(super) struct Pace<O> {
     /// exp(-h/(2 RC)).
-    pub(super) circuit_half: Lanes<L>,
-    /// Modulus times decay over half a step, and over a whole one.
-    pub(super) held_half: [Lanes<L>; MAX_BRANCHES],
-    pub(super) held: [Lanes<L>; MAX_BRANCHES],
+    pub(super) circuit_half: O,
+    /// The branches; those from `n_branches` on do not exist.
+    pub(super) branches: [BranchPace<O>; MAX_BRANCHES],
+    pub(super) n_branches: usize,
     /// Sums over branches of modulus times weight: what of E at that time is already in the dashpots.
-    pub(super) half_start: Lanes<L>,
-    pub(super) full_start: Lanes<L>,
-    pub(super) full_middle: Lanes<L>,
+    pub(super) half_start: O,
+    pub(super) full_start: O,
+    pub(super) full_middle: O,
     /// Sum of the moduli less the weight of E at the end: the modulus that E meets at the middle and at the end.
-    pub(super) half_modulus: Lanes<L>,
-    pub(super) full_modulus: Lanes<L>,
-    pub(super) decay: [Lanes<L>; MAX_BRANCHES],
-    pub(super) start: [Lanes<L>; MAX_BRANCHES],
-    pub(super) middle: [Lanes<L>; MAX_BRANCHES],
-    pub(super) end: [Lanes<L>; MAX_BRANCHES],
-    /// The damped plate: x(h/2) = x + v glide_half + g push_half, likewise for h, and velocity by brake and kicks.
-    pub(super) glide_half: Lanes<L>,
-    pub(super) push_half: Lanes<L>,
-    pub(super) glide: Lanes<L>,
-    pub(super) push: Lanes<L>,
-    pub(super) moves: [Lanes<L>; 3],
-    pub(super) brake: Lanes<L>,
-    pub(super) kicks: [Lanes<L>; 3],
+    pub(super) half_modulus: O,
+    pub(super) full_modulus: O,
+    /// The damped plate: x(h/2) = x + v glide_half + g push_half, and x(h) = x + v glide + g push for constant g.
+    pub(super) glide_half: O,
+    pub(super) push_half: O,
+    pub(super) glide: O,
+    pub(super) push: O,
+    /// The same for parabolic g: x(h) = x + v glide + sum of g moves, v(h) = v brake + sum of g kicks.
+    pub(super) moves: [O; 3],
+    pub(super) brake: O,
+    pub(super) kicks: [O; 3],
 }
 
-impl<const L: usize> Pace<L> {
-    pub(super) fn new(variants: &[PaceOf; L], h: f64) -> Self {
-        let lanes = |f: &dyn Fn(&PaceOf) -> f64| Lanes::from_fn(|k| f(&variants[k]));
-        let branch = |f: &dyn Fn(f64, f64) -> f64| -> [Lanes<L>; MAX_BRANCHES] {
-            std::array::from_fn(|i| lanes(&|p| f(p.modulus[i], p.rate[i])))
-        };
+/// What a step does to the dashpot of one branch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct BranchPace<O> {
+    /// Modulus times decay over half a step, and over a whole one.
+    pub(super) held_half: O,
+    pub(super) held: O,
+    pub(super) decay: O,
+    pub(super) start: O,
+    pub(super) middle: O,
+    pub(super) end: O,
+}
+
+impl<O: PerTwin> Pace<O> {
+    /// Steps of `h` seconds.
+    pub(super) fn new(twins: &[PaceOf], h: f64) -> Self {
+        let each = |f: &dyn Fn(&PaceOf) -> f64| O::gather(|k| f(&twins[k]));
         let sum = |f: &dyn Fn(f64, f64) -> f64| {
-            lanes(&|p| (0..MAX_BRANCHES).map(|i| f(p.modulus[i], p.rate[i])).sum())
+            each(&|p| (0..MAX_BRANCHES).map(|i| f(p.modulus[i], p.rate[i])).sum())
         };
         // Over half a step E is taken as linear: e^(-r(1 - s)) r against 1 - s and s.
         let half_end = |rate: f64| 0.5 * h * rate * moment(0.5 * h * rate, 1, 1);
@@ -89,36 +96,40 @@ impl<const L: usize> Pace<L> {
             let (r, q) = (h * rate, parabola(h * rate, 1));
             Quadrature { start: r * q.start, middle: r * q.middle, end: r * q.end }
         };
+        let branches = std::array::from_fn(|i| {
+            let branch = |f: &dyn Fn(f64, f64) -> f64| each(&|p| f(p.modulus[i], p.rate[i]));
+            BranchPace {
+                held_half: branch(&|modulus, rate| modulus * (-0.5 * h * rate).exp()),
+                held: branch(&|modulus, rate| modulus * (-h * rate).exp()),
+                decay: branch(&|_, rate| (-h * rate).exp()),
+                start: branch(&|_, rate| full(rate).start),
+                middle: branch(&|_, rate| full(rate).middle),
+                end: branch(&|_, rate| full(rate).end),
+            }
+        });
+        let exists = |i: &usize| twins.iter().any(|p| p.modulus[*i] > 0.0);
         let kick = |p: &PaceOf| parabola(p.damping_rate * h, 1);
         let shift = |p: &PaceOf| parabola(p.damping_rate * h, 2);
         Self {
-            circuit_half: lanes(&|p| (-0.5 * h / p.rc_s).exp()),
-            held_half: branch(&|modulus, rate| modulus * (-0.5 * h * rate).exp()),
-            held: branch(&|modulus, rate| modulus * (-h * rate).exp()),
+            circuit_half: each(&|p| (-0.5 * h / p.rc_s).exp()),
+            branches,
+            n_branches: (0..MAX_BRANCHES).filter(exists).count(),
             half_start: sum(&|modulus, rate| modulus * half_start(rate)),
             full_start: sum(&|modulus, rate| modulus * full(rate).start),
             full_middle: sum(&|modulus, rate| modulus * full(rate).middle),
             half_modulus: sum(&|modulus, rate| modulus * (1.0 - half_end(rate))),
             full_modulus: sum(&|modulus, rate| modulus * (1.0 - full(rate).end)),
-            decay: branch(&|_, rate| (-h * rate).exp()),
-            start: branch(&|_, rate| full(rate).start),
-            middle: branch(&|_, rate| full(rate).middle),
-            end: branch(&|_, rate| full(rate).end),
-            glide_half: lanes(&|p| 0.5 * h * moment(0.5 * h * p.damping_rate, 0, 1)),
-            push_half: lanes(&|p| 0.25 * h * h * moment(0.5 * h * p.damping_rate, 0, 2)),
-            glide: lanes(&|p| h * moment(h * p.damping_rate, 0, 1)),
-            push: lanes(&|p| h * h * moment(h * p.damping_rate, 0, 2)),
+            glide_half: each(&|p| 0.5 * h * moment(0.5 * h * p.damping_rate, 0, 1)),
+            push_half: each(&|p| 0.25 * h * h * moment(0.5 * h * p.damping_rate, 0, 2)),
+            glide: each(&|p| h * moment(h * p.damping_rate, 0, 1)),
+            push: each(&|p| h * h * moment(h * p.damping_rate, 0, 2)),
             moves: [
-                lanes(&|p| h * h * shift(p).start),
-                lanes(&|p| h * h * shift(p).middle),
-                lanes(&|p| h * h * shift(p).end),
+                each(&|p| h * h * shift(p).start),
+                each(&|p| h * h * shift(p).middle),
+                each(&|p| h * h * shift(p).end),
             ],
-            brake: lanes(&|p| (-h * p.damping_rate).exp()),
-            kicks: [
-                lanes(&|p| h * kick(p).start),
-                lanes(&|p| h * kick(p).middle),
-                lanes(&|p| h * kick(p).end),
-            ],
+            brake: each(&|p| (-h * p.damping_rate).exp()),
+            kicks: [each(&|p| h * kick(p).start), each(&|p| h * kick(p).middle), each(&|p| h * kick(p).end)],
         }
     }
 }
