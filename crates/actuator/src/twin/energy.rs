@@ -28,7 +28,7 @@ impl Twin {
             + half * excess * (value(&slice, u) + 0.5 * excess * slope(&slice, u));
         let point = branch_point(&self.model.branches.slice(y), u, excess);
         let moduli = self.model.parameters.spec().branches.iter().map(|b| b.modulus_pa);
-        let dashpots = self.motion.zeta.map(|z| [z.0, z.1, z.2]);
+        let dashpots = self.motion.zeta.map(|z| [z.1, z.2, z.3]);
         let load: f64 = moduli.clone().zip(&dashpots).map(|(m, z)| m * (z[0] - point.strain[0])).sum();
         let internal = load / (point.stiffness + self.model.parameters.branch_modulus_pa());
         let mut branches = 0.5 * internal * internal * point.stiffness;

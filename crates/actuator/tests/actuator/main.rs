@@ -4,6 +4,7 @@ mod calibration;
 mod design_study;
 mod failure;
 mod field;
+mod batch;
 mod membrane;
 mod printed;
 mod rig;
