@@ -52,7 +52,7 @@ pub(crate) fn run_abreast(
         sum_mm2: 0.0,
         final_mm: 0.0,
         left_map: false,
-        trace_mm: Vec::with_capacity(if trace_every == 0 { 0 } else { drive_v.len() / trace_every }),
+        trace_mm: Vec::with_capacity(drive_v.len().checked_div(trace_every).unwrap_or(0)),
     };
     arithmetic::run(Run {
         plant: Plant::new(&models, &mass),
@@ -97,7 +97,7 @@ impl Kernel for Run<'_> {
             }
             if plant.is_outside(by, motion.x) {
                 for (k, passage) in passages.iter_mut().enumerate() {
-                    passage.left_map |= !(plant.normalized(by, motion.x).of_twin(k).abs() <= 1.0);
+                    passage.left_map |= !(-1.0..=1.0).contains(&plant.normalized(by, motion.x).of_twin(k));
                 }
             }
             let traced = until_trace == 1;

@@ -161,7 +161,8 @@ impl<P: Processor> Arithmetic for Single<P> {
     }
     #[inline(always)]
     fn outside_one(self, a: f64) -> bool {
-        !(a.abs() <= 1.0)
+        // A NaN is nowhere.
+        !(-1.0..=1.0).contains(&a)
     }
     #[inline(always)]
     fn scale(self, a: f64x4, b: f64) -> f64x4 {
@@ -336,7 +337,7 @@ impl Processor for Baseline {
     }
     #[inline(always)]
     fn outside_one(self, a: f64x4) -> bool {
-        [a.0, a.1, a.2, a.3].iter().any(|a| !(a.abs() <= 1.0))
+        [a.0, a.1, a.2, a.3].iter().any(|a| !(-1.0..=1.0).contains(a))
     }
 }
 

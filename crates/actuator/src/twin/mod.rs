@@ -6,6 +6,7 @@ mod branch_reduction;
 mod contact;
 mod energy;
 mod family;
+mod fidelity;
 mod kernel;
 mod model;
 mod pace;
@@ -15,6 +16,7 @@ mod surface;
 pub(crate) use abreast::{N_ABREAST, Passage, run_abreast};
 pub use contact::{Contact, PlateLoad};
 pub(crate) use family::{TwinFamily, shape};
+pub use fidelity::Fidelity;
 pub use model::{MapRange, TwinModel};
 pub use stated::StatedError;
 
