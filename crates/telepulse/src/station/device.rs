@@ -48,6 +48,16 @@ fn require_within_envelope(study: &Study) -> Result<()> {
     Ok(())
 }
 
+/// The reduced twin of the study's device, with its error against the field-level model, measured on the spot.
+///
+/// # Errors
+/// As [`twin`].
+pub fn twin_with_stated_error(study: &Study) -> Result<TwinModel> {
+    require_within_envelope(study)?;
+    TwinModel::with_stated_error(&study.actuator.parameter_set.parameters())
+        .context("the membrane of the study has no reduced twin")
+}
+
 /// The reduced twin of a parameter set.
 ///
 /// # Errors

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use telepulse_actuator::ParameterSet;
 use telepulse_actuator::rig::rig_assumptions;
+use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::PlantModel;
 use telepulse_lti::{StateSpace, TransferFunction};
 
@@ -53,7 +54,7 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     let staged = StagedFolder::beside(folder)?;
     let bar = progress_bar();
     bar.set_message("membrane and twin");
-    let twin = device::twin(study)?;
+    let twin = device::twin_with_stated_error(study)?;
     bar.inc(1);
 
     bar.set_message("sweeps");
@@ -91,7 +92,7 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     bar.inc(1);
 
     bar.set_message("report");
-    let (outcome, drawn) = assemble(study, &models, &recipes, &tracked, &steps, &transmitted)?;
+    let (outcome, drawn) = assemble(study, &twin, &models, &recipes, &tracked, &steps, &transmitted)?;
     report::write_data(staged.path(), &outcome, &drawn)?;
     report::write(staged.path(), &outcome, &drawn)?;
     let folder = staged.commit()?;
@@ -160,6 +161,7 @@ impl PrintedSystems {
 
 fn assemble(
     study: &Study,
+    twin: &TwinModel,
     models: &Models,
     recipes: &Recipes,
     runs: &Runs,
@@ -204,7 +206,7 @@ fn assemble(
         pulse_spectrum,
         link: transmitted.link.clone(),
         disagreements: list,
-        assumptions: assumptions(study),
+        assumptions: assumptions(study, twin),
     };
     for replay in &transmitted.replays {
         outcome
@@ -323,7 +325,7 @@ fn inputs(study: &Study) -> Result<BTreeMap<String, String>> {
         .collect()
 }
 
-fn assumptions(study: &Study) -> Vec<Assumption> {
+fn assumptions(study: &Study, twin: &TwinModel) -> Vec<Assumption> {
     let own = |name: &str, value: String, why: &str| Assumption { name: name.into(), value, why: why.into() };
     let mut list = vec![
         own(
@@ -357,6 +359,17 @@ fn assumptions(study: &Study) -> Vec<Assumption> {
             "the paper does not say whether its errors include the sensor's noise",
         ),
     ];
+    if let Some(error) = twin.stated_error() {
+        list.push(own(
+            "reduced twin for the field-level model",
+            format!(
+                "off by at most {:.4} % of stroke over a step to full scale, {:.4} % over (25)",
+                error.step.percent_of_stroke(),
+                error.reference.percent_of_stroke()
+            ),
+            "a control loop needs the twin thousands of times; its error was measured when it was built",
+        ));
+    }
     list.extend(rig_assumptions().iter().map(|a| own(a.name, format!("{} {}", a.value, a.unit), a.reason)));
     list
 }

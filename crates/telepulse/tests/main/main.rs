@@ -5,5 +5,6 @@ mod dependencies;
 mod membrane;
 mod membrane_calibrate;
 mod membrane_optimize;
+mod membrane_motion;
 mod solve;
 mod study;

@@ -50,27 +50,15 @@ const KEYS: [&str; 15] = [
     "map",
 ];
 /// Keys that collections of cases carry to tell them apart.
-const DESCRIPTIVE: [&str; 6] = ["id", "name", "category", "source", "note", "comment"];
+pub(super) const DESCRIPTIVE: [&str; 6] = ["id", "name", "category", "source", "note", "comment"];
 /// Names of the materials.
 const MATERIALS: &str = "\"neo-hookean\", \"gent\" or \"ogden\"";
 
 impl Case {
     /// Reads a file, or standard input where the path is `-`.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        if path.as_os_str() == "-" {
-            let mut text = String::new();
-            std::io::stdin().read_to_string(&mut text).context("cannot read standard input")?;
-            return Self::parse(&text, "standard input");
-        }
-        Self::parse(&artefact::read_text(path)?, &path.display().to_string())
-    }
-
-    fn parse(text: &str, name: &str) -> Result<Self> {
-        let value: Value = serde_json::from_str(text).map_err(|error| anyhow!("in {name}: {error}"))?;
-        let Value::Object(fields) = value else {
-            bail!("in {name}: expected an object with the keys of a case, found {value}");
-        };
-        Self::from_fields(&fields, name).map_err(|error| error.context(format!("in {name}")))
+        let (fields, name) = read_fields(path)?;
+        Self::from_fields(&fields, &name).map_err(|error| error.context(format!("in {name}")))
     }
 
     fn from_fields(fields: &Map<String, Value>, name: &str) -> Result<Self> {
@@ -163,11 +151,26 @@ impl Case {
     }
 }
 
-fn present(fields: &Map<String, Value>, key: &str) -> bool {
+/// The keys of a file, or of standard input where the path is `-`, and its name for messages.
+pub(super) fn read_fields(path: &Path) -> Result<(Map<String, Value>, String)> {
+    let (text, name) = if path.as_os_str() == "-" {
+        let mut text = String::new();
+        std::io::stdin().read_to_string(&mut text).context("cannot read standard input")?;
+        (text, "standard input".to_owned())
+    } else {
+        (artefact::read_text(path)?, path.display().to_string())
+    };
+    match serde_json::from_str(&text).map_err(|error| anyhow!("in {name}: {error}"))? {
+        Value::Object(fields) => Ok((fields, name)),
+        value => bail!("in {name}: expected an object with the keys of a case, found {value}"),
+    }
+}
+
+pub(super) fn present(fields: &Map<String, Value>, key: &str) -> bool {
     fields.get(key).is_some_and(|value| !value.is_null())
 }
 
-fn number(fields: &Map<String, Value>, key: &str) -> Result<f64> {
+pub(super) fn number(fields: &Map<String, Value>, key: &str) -> Result<f64> {
     match fields.get(key) {
         None | Some(Value::Null) => Err(anyhow!("key `{key}` is missing, expected a number")),
         Some(value) => value.as_f64().ok_or_else(|| anyhow!("key `{key}`: expected a number, found {value}")),
@@ -194,7 +197,7 @@ fn prestretch(fields: &Map<String, Value>) -> Result<[f64; 2]> {
     }
 }
 
-fn material(fields: &Map<String, Value>) -> Result<Material> {
+pub(super) fn material(fields: &Map<String, Value>) -> Result<Material> {
     let found = match fields.get("material") {
         None | Some(Value::Null) => bail!("key `material` is missing, expected an object with `model`"),
         Some(Value::Object(found)) => found,

@@ -9,6 +9,9 @@ mod failure;
 mod figures;
 mod judged;
 mod map;
+mod drive;
+mod motion_case;
+mod simulate;
 mod solve;
 
 use anyhow::Result;
@@ -34,6 +37,8 @@ enum Task {
     Map(map::MapArguments),
     /// What ends the membrane: margins, voltages at which it sets in, a map over load and voltage, limits for a supervisor.
     Failure(failure::FailureArguments),
+    /// Motion of plate and membrane under a drive, alone or with scattered parameters.
+    Simulate(simulate::SimulateArguments),
 }
 
 pub(super) fn run(typed: &MembraneArguments, json: bool) -> Result<Verdict> {
@@ -43,5 +48,6 @@ pub(super) fn run(typed: &MembraneArguments, json: bool) -> Result<Verdict> {
         Task::Optimize(typed) => optimize::run(typed, json),
         Task::Map(typed) => map::run(typed, json),
         Task::Failure(typed) => failure::run(typed, json),
+        Task::Simulate(typed) => simulate::run(typed, json),
     }
 }
