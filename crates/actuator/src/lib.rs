@@ -1,7 +1,7 @@
 //! What the device is: material, membrane, circuit, equilibrium, linearisation, reduced twin, virtual rig, calibration.
 
-pub mod calibration;
 pub mod batch;
+pub mod calibration;
 pub mod collocation;
 pub mod design_study;
 mod error;

@@ -3,7 +3,7 @@
 //! `cargo bench -p telepulse-design` runs all of it; `-- h2syn` only what contains that word. Random plants
 //! from one seed, drawn like those of `benches/versus_slycot_hinfsyn.py`, which times a peer at the same sizes.
 
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::approx_constant)]
 
 use std::f64::consts::TAU;
 use std::fmt::Display;
@@ -114,7 +114,7 @@ fn controller_order(criterion: &mut Criterion) {
 
 /// Full 2 × 2 blocks; with `real`, every other one is a parameter that enters twice.
 fn blocks(count: usize, real: bool) -> BlockStructure {
-    let block = |k: usize| match real && k % 2 == 0 {
+    let block = |k: usize| match real && k.is_multiple_of(2) {
         true => Block::RepeatedReal { size: 2 },
         false => Block::Full { rows: 2, cols: 2 },
     };

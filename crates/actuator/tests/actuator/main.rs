@@ -1,10 +1,10 @@
 //! Evidence for the actuator: membrane against stored solutions, twin against field-level model, rigs end to end.
 
+mod batch;
 mod calibration;
 mod design_study;
 mod failure;
 mod field;
-mod batch;
 mod membrane;
 mod printed;
 mod rig;

@@ -91,7 +91,6 @@ fn law_noise_spreads_the_estimate_as_stated() {
     let window = record(&model, settings, 2500.0, |_| 2500.0);
     let clean = sensor.estimate(&window.voltage_v, &window.current_a).expect("in range");
     let mut seed = 4;
-    println!("seed {seed}");
     let mut normal = || {
         let (a, b) = (1.0 - uniform(&mut seed), uniform(&mut seed));
         (-2.0 * a.ln()).sqrt() * (TAU * b).cos()

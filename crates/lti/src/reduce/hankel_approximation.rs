@@ -268,6 +268,7 @@ const GAP_MIN: f64 = 1e-8;
 mod tests {
     use super::*;
     use crate::reduce::{ReduceOptions, reduce, testing};
+    use rand::{RngExt, SeedableRng};
 
     #[test]
     fn regress_one_port_whose_vectors_agree_but_for_rounding_keeps_the_bound() {

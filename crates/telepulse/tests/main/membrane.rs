@@ -194,7 +194,9 @@ fn edge_failed_states_and_bad_criteria_are_refused_with_key_value_and_reason() {
         ("failure", &["`voltage_v`", "11000", "limit point"], |c| c["voltage_v"] = json!(11_000.0)),
         ("solve", &["`voltage_v`", "5000", "breakdown"], |c| c["breakdown"] = json!(1e7)),
         ("solve", &["`breakdown`", "\"paschen\"", "huang-2012"], |c| c["breakdown"] = json!("paschen")),
-        ("solve", &["`amplifier.current_a`", "-1", "positive"], |c| c["amplifier"] = json!({"current_a": -1})),
+        ("solve", &["`amplifier.current_a`", "-1", "positive"], |c| {
+            c["amplifier"] = json!({"current_a": -1})
+        }),
         ("map", &["`map.voltage_v`", "[from, to"], |c| c["map"] = json!({"voltage_v": [0, 1]})),
         ("map", &["`map`", "`speed` is unknown"], |c| c["map"] = json!({"speed": [0, 1, 2]})),
     ];

@@ -3,14 +3,14 @@
 mod calibrate;
 mod calibration_case;
 mod case;
-mod optimize;
-mod pareto_figure;
+mod drive;
 mod failure;
 mod figures;
 mod judged;
 mod map;
-mod drive;
 mod motion_case;
+mod optimize;
+mod pareto_figure;
 mod simulate;
 mod solve;
 
