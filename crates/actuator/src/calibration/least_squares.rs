@@ -40,8 +40,8 @@ const ROUNDING: f64 = 1e-7;
 /// Minimises `|residual|^2` from `start` between the bounds.
 ///
 /// **Method**: trust region, `(J'J + d I) step = -J'r` with d such that the step has at most the trusted length, through the
-/// singular values of J; logarithms are the scaling. Parameters at a bound that the gradient pushes against are held, the
-/// rest of a step is cut at the bounds. A point where the model has no value counts as worse than any other.
+/// singular values of J; logarithms are the scaling. Parameters at a bound that the gradient pushes against are held, other
+/// steps end at the first bound that they meet. A point where the model has no value counts as worse than any other.
 ///
 /// **Source**: Levenberg 1944, Marquardt 1963 in the form of More 1978, with an active set for the bounds.
 ///
@@ -59,23 +59,18 @@ where
     while iterations < ITERATIONS_MAX {
         iterations += 1;
         let held = held_at_bounds(&parameters, &jacobian.tr_mul(&residual), problem);
-        let model = LinearModel::new(&jacobian, &residual, &held);
         let cost = residual.norm_squared();
-        let within = |radius: f64| {
-            let next = problem.inside(&(&parameters + model.step(radius)));
-            let predicted = cost - (&residual + &jacobian * (&next - &parameters)).norm_squared();
-            (next, predicted)
-        };
-        let possible = within(RADIUS_MAX).1;
+        let within = |radius: f64| problem.propose(&parameters, &jacobian, &residual, &held, radius);
+        let farthest = within(RADIUS_MAX);
         let stalled = radius < RADIUS_MIN;
         let [absolute, relative] = if stalled { GAIN_STALLED } else { GAIN_MIN };
-        if possible <= absolute + relative * cost {
+        if !farthest.is_cut && farthest.gain <= absolute + relative * cost {
             return Ok(Minimum { parameters, residual, jacobian, held, iterations });
         }
         if stalled {
             break;
         }
-        let (next, predicted) = within(radius);
+        let Proposal { next, gain: predicted, .. } = within(radius);
         last_step = (&next - &parameters).norm();
         let tried = (problem.residual)(&next).ok().filter(|r| r.iter().all(|value| value.is_finite()));
         let gain = tried.as_ref().map_or(-1.0, |r| (cost - r.norm_squared()) / predicted);
@@ -93,13 +88,52 @@ where
     Err(Error::Calibration(Refusal::NotConverged { iterations, last_step, rms }))
 }
 
+/// A step within bounds and what it promises.
+struct Proposal {
+    next: DVector<f64>,
+    /// Decrease of the sum of squares that the linearisation predicts.
+    gain: f64,
+    /// Whether the step was cut short where it met a bound.
+    is_cut: bool,
+}
+
 impl<R, J> Problem<R, J> {
-    fn inside(&self, parameters: &DVector<f64>) -> DVector<f64> {
-        parameters.zip_zip_map(
-            &self.lower,
-            &self.upper,
-            |p, low, high| if p < low { low } else { p.min(high) },
-        )
+    /// The step of at most `radius`. Parameters at a bound that it would cross are held and the step is sought anew; where it
+    /// meets another bound on its way, it ends there: cutting one parameter alone could make it climb.
+    fn propose(
+        &self,
+        parameters: &DVector<f64>,
+        jacobian: &DMatrix<f64>,
+        residual: &DVector<f64>,
+        held: &[bool],
+        radius: f64,
+    ) -> Proposal {
+        let mut held = held.to_vec();
+        let mut step = LinearModel::new(jacobian, residual, &held).step(radius);
+        // Each round holds at least one more.
+        for _ in 0..held.len() {
+            let blocked = (0..held.len()).find(|&idx| !held[idx] && self.room(parameters, &step, idx) <= 0.0);
+            let Some(idx) = blocked else { break };
+            held[idx] = true;
+            step = LinearModel::new(jacobian, residual, &held).step(radius);
+        }
+        let rooms: Vec<f64> = (0..held.len()).map(|idx| self.room(parameters, &step, idx)).collect();
+        let part = rooms.iter().fold(1.0, |part: f64, room| part.min(*room));
+        let mut next = parameters + &step * part;
+        for (idx, room) in rooms.iter().enumerate() {
+            // Onto the bound itself, not beside it by rounding.
+            if part < 1.0 && *room <= part {
+                next[idx] = if step[idx] < 0.0 { self.lower[idx] } else { self.upper[idx] };
+            }
+        }
+        let gain = residual.norm_squared() - (residual + jacobian * (&next - parameters)).norm_squared();
+        Proposal { next, gain, is_cut: part < 1.0 }
+    }
+
+    /// Which part of the step a parameter can take before its bound.
+    fn room(&self, parameters: &DVector<f64>, step: &DVector<f64>, idx: usize) -> f64 {
+        let bound = if step[idx] < 0.0 { self.lower[idx] } else { self.upper[idx] };
+        if step[idx] == 0.0 { f64::INFINITY } else { (bound - parameters[idx]) / step[idx] }
     }
 }
 
