@@ -30,10 +30,12 @@ const RADIUS_MAX: f64 = 1.0;
 /// A step this short that is still refused shows that the differences of the Jacobian see no further.
 const RADIUS_MIN: f64 = 1e-7;
 /// The end: no step within the largest radius is predicted to lower the sum of squares, whose unit is the noise, by more than
-/// this: a hundredth of a standard error in every direction, or 1e-7 of what is left.
-const GAIN_MIN: [f64; 2] = [1e-4, 1e-7];
+/// this: a twentieth of a standard error in every direction, or 1e-7 of what is left.
+const GAIN_MIN: [f64; 2] = [3e-3, 1e-7];
 /// Where steps are refused at the smallest radius, a predicted gain below this counts as an end too.
 const GAIN_STALLED: [f64; 2] = [1e-2, 1e-3];
+/// A parameter this close to a bound stands at it.
+const AT_BOUND: f64 = 1e-9;
 /// Singular values below this part of the largest are errors of the differences.
 const ROUNDING: f64 = 1e-7;
 
@@ -64,7 +66,7 @@ where
         let farthest = within(RADIUS_MAX);
         let stalled = radius < RADIUS_MIN;
         let [absolute, relative] = if stalled { GAIN_STALLED } else { GAIN_MIN };
-        if !farthest.is_cut && farthest.gain <= absolute + relative * cost {
+        if farthest.gain_unbounded <= absolute + relative * cost {
             return Ok(Minimum { parameters, residual, jacobian, held, iterations });
         }
         if stalled {
@@ -93,8 +95,8 @@ struct Proposal {
     next: DVector<f64>,
     /// Decrease of the sum of squares that the linearisation predicts.
     gain: f64,
-    /// Whether the step was cut short where it met a bound.
-    is_cut: bool,
+    /// The same for the step before it was cut short at a bound: no step of this length promises more.
+    gain_unbounded: f64,
 }
 
 impl<R, J> Problem<R, J> {
@@ -126,14 +128,20 @@ impl<R, J> Problem<R, J> {
                 next[idx] = if step[idx] < 0.0 { self.lower[idx] } else { self.upper[idx] };
             }
         }
-        let gain = residual.norm_squared() - (residual + jacobian * (&next - parameters)).norm_squared();
-        Proposal { next, gain, is_cut: part < 1.0 }
+        let gain =
+            |step: &DVector<f64>| residual.norm_squared() - (residual + jacobian * step).norm_squared();
+        Proposal { gain: gain(&(&next - parameters)), gain_unbounded: gain(&step), next }
     }
 
     /// Which part of the step a parameter can take before its bound.
     fn room(&self, parameters: &DVector<f64>, step: &DVector<f64>, idx: usize) -> f64 {
         let bound = if step[idx] < 0.0 { self.lower[idx] } else { self.upper[idx] };
-        if step[idx] == 0.0 { f64::INFINITY } else { (bound - parameters[idx]) / step[idx] }
+        let distance = bound - parameters[idx];
+        match (step[idx] == 0.0, distance.abs() <= AT_BOUND) {
+            (true, _) => f64::INFINITY,
+            (false, true) => 0.0,
+            (false, false) => distance / step[idx],
+        }
     }
 }
 
@@ -146,7 +154,7 @@ fn held_at_bounds<R, J>(
     (0..parameters.len())
         .map(|idx| {
             let (p, g) = (parameters[idx], gradient[idx]);
-            p <= problem.lower[idx] && g > 0.0 || p >= problem.upper[idx] && g < 0.0
+            p <= problem.lower[idx] + AT_BOUND && g > 0.0 || p >= problem.upper[idx] - AT_BOUND && g < 0.0
         })
         .collect()
 }
@@ -167,9 +175,13 @@ impl LinearModel {
             loose.column_mut(p).fill(0.0);
         }
         let svd = loose.svd(true, true);
-        let (Some(u), Some(directions)) = (svd.u, svd.v_t) else {
+        let (Some(u), Some(mut directions)) = (svd.u, svd.v_t) else {
             unreachable!("both were asked for");
         };
+        // Zero but for rounding, which would count as a step against the bound.
+        for p in (0..held.len()).filter(|&p| held[p]) {
+            directions.column_mut(p).fill(0.0);
+        }
         Self { directions, along: u.tr_mul(residual), values: svd.singular_values }
     }
 
@@ -217,8 +229,8 @@ mod tests {
     #[test]
     fn oracle_rosenbrock_valley_free_and_within_bounds() {
         let free = rosenbrock(-5.0, 5.0);
-        // A gain of 1e-4 is an error of 1e-6 along x.
-        assert!((&free.parameters - DVector::from_element(2, 1.0)).amax() < 3e-6, "{}", free.parameters);
+        // A gain of 3e-3 is an error of 5e-6 along x and of twice that along y.
+        assert!((&free.parameters - DVector::from_element(2, 1.0)).amax() < 1.2e-5, "{}", free.parameters);
         // With both below 0.5 the minimum is x = 0.5, y = x^2: there the slope in y vanishes, and in x it
         // points out. The end: 1e-7 of the 2.5e7 that are left, 1.6e-5 along y.
         let bound = rosenbrock(-5.0, 0.5);

@@ -73,7 +73,7 @@ fn away(set: ParameterSet) -> ActuatorSpec {
 
 #[test]
 fn paper_eq16_set_c_is_found_again_to_its_five_digits() {
-    let printed = Record::Sweep(printed_sweep(2500.0, 1e-3));
+    let printed = Record::Sweep(printed_sweep(2500.0, 1e-4));
     let found = fit(&away(ParameterSet::C), &PLANT, &[printed]).expect("fits");
     let spec = found.parameters.spec();
     // Half a unit of the last digit that set C is given to.
@@ -81,8 +81,8 @@ fn paper_eq16_set_c_is_found_again_to_its_five_digits() {
     assert_close(spec.relative_permittivity, 6.0109, 0.0, 0.5e-4, "permittivity");
     assert_close(spec.damping_n_s_per_m, 1.596, 0.0, 0.5e-3, "damping");
     // An elastic membrane in this circuit *is* of the form (16): nothing is left over.
-    // The fit ends where a thousandth of the noise is all that could still be gained.
-    assert!(found.records[0].rms_over_noise < 1e-3, "{:?}", found.records);
+    // The fit ends where a hundredth of the noise is all that could still be gained.
+    assert!(found.records[0].rms_over_noise < 1e-2, "{:?}", found.records);
     assert_eq!(found.undetermined().count(), 0);
 }
 
