@@ -11,7 +11,7 @@ use crate::{assert_close, uniform};
 #[derive(Deserialize)]
 struct Stored {
     sets: Vec<SetCase>,
-    dimensionless: Vec<DimensionlessCase>,
+    dimensionless: Vec<crate::statics::Case>,
 }
 
 #[derive(Deserialize)]
@@ -31,25 +31,6 @@ struct SetCase {
     f3_m_per_s2_v: f64,
     gain_frozen_mm_per_unit: f64,
     instant_from_rest_mm: f64,
-}
-
-#[derive(Deserialize)]
-#[allow(non_snake_case)]
-struct DimensionlessCase {
-    A_over_B: f64,
-    prestretch: f64,
-    f: f64,
-    v: f64,
-    u_over_B: f64,
-    lambda1_inner: f64,
-    lambda1_outer: f64,
-    theta_inner: f64,
-    theta_outer: f64,
-    s1_inner: f64,
-    s1_outer: f64,
-    s2_inner: f64,
-    s2_outer: f64,
-    compliance_du_df: f64,
 }
 
 fn stored() -> Stored {

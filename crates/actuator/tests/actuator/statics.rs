@@ -11,20 +11,20 @@ use crate::{assert_close, uniform};
 #[derive(Deserialize)]
 #[allow(non_snake_case)]
 pub(crate) struct Case {
-    A_over_B: f64,
-    prestretch: f64,
-    f: f64,
-    v: f64,
-    u_over_B: f64,
-    lambda1_inner: f64,
-    lambda1_outer: f64,
-    theta_inner: f64,
-    theta_outer: f64,
-    s1_inner: f64,
-    s1_outer: f64,
-    s2_inner: f64,
-    s2_outer: f64,
-    compliance_du_df: f64,
+    pub(crate) A_over_B: f64,
+    pub(crate) prestretch: f64,
+    pub(crate) f: f64,
+    pub(crate) v: f64,
+    pub(crate) u_over_B: f64,
+    pub(crate) lambda1_inner: f64,
+    pub(crate) lambda1_outer: f64,
+    pub(crate) theta_inner: f64,
+    pub(crate) theta_outer: f64,
+    pub(crate) s1_inner: f64,
+    pub(crate) s1_outer: f64,
+    pub(crate) s2_inner: f64,
+    pub(crate) s2_outer: f64,
+    pub(crate) compliance_du_df: f64,
 }
 
 /// Any length, modulus and thickness must do: these are not the paper's.

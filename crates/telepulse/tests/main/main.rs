@@ -6,5 +6,6 @@ mod membrane;
 mod membrane_calibrate;
 mod membrane_motion;
 mod membrane_optimize;
+mod membrane_program;
 mod solve;
 mod study;

@@ -1,27 +1,8 @@
 //! `telepulse membrane`: case files in, answers or one line of refusal out.
 
-use std::io::Write;
-use std::process::{Command, Output, Stdio};
-
 use serde_json::{Value, json};
 
-fn run(case: &str) -> Output {
-    run_task(&["solve"], case)
-}
-
-fn run_task(task: &[&str], case: &str) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_telepulse"))
-        .arg("membrane")
-        .args(task)
-        .args(["-", "--json"])
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the program starts");
-    child.stdin.take().expect("piped").write_all(case.as_bytes()).expect("written");
-    child.wait_with_output().expect("the program ends")
-}
+use crate::membrane_program::{assert_refused, run};
 
 /// Set A at rest under its weight.
 fn set_a() -> Value {
@@ -34,7 +15,7 @@ fn set_a() -> Value {
 
 #[test]
 fn oracle_set_a_at_full_scale_with_exactly_the_agreed_keys() {
-    let output = run(&set_a().to_string());
+    let output = run("solve", &set_a().to_string(), &[]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let mut keys: Vec<&str> = answer.as_object().expect("an object").keys().map(String::as_str).collect();
@@ -76,7 +57,7 @@ fn oracle_set_a_at_full_scale_with_exactly_the_agreed_keys() {
     let mut held = set_a();
     held.as_object_mut().expect("an object").remove("force_n");
     held["displacement_m"] = answer["displacement_m"].clone();
-    let back: Value = serde_json::from_slice(&run(&held.to_string()).stdout).expect("JSON");
+    let back: Value = serde_json::from_slice(&run("solve", &held.to_string(), &[]).stdout).expect("JSON");
     let force = back["force_n"].as_f64().expect("a number");
     assert!((force - 0.980665).abs() < 1e-11, "{force}");
 }
@@ -112,17 +93,11 @@ fn edge_each_bad_case_is_refused_with_key_value_and_reason() {
     for (parts, damage) in cases {
         let mut case = set_a();
         damage(&mut case);
-        let output = run(&case.to_string());
-        let said = String::from_utf8(output.stderr).expect("UTF-8");
-        assert_eq!(output.status.code(), Some(2), "{case}: {said}");
-        assert!(output.stdout.is_empty(), "{case}: answered all the same");
-        assert_eq!(said.lines().count(), 1, "{case}: {said}");
-        for part in parts {
-            assert!(said.contains(part), "{case}: `{part}` is not in: {said}");
-        }
+        let output = run("solve", &case.to_string(), &[]);
+        assert_refused(&case.to_string(), output, parts);
     }
     for text in ["{\"a_m\": 1", "[1, 2]", ""] {
-        let output = run(text);
+        let output = run("solve", text, &[]);
         assert_eq!(output.status.code(), Some(2), "{text}");
     }
 }
@@ -135,7 +110,7 @@ fn edge_pre_stretch_below_one_needs_its_flag() {
     case["force_n"] = json!(2.0);
     case["allow_prestretch_below_one"] = json!(true);
     case["voltage_v"] = json!(0.0);
-    let output = run(&case.to_string());
+    let output = run("solve", &case.to_string(), &[]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
@@ -145,13 +120,13 @@ fn law_map_agrees_with_single_solves_and_writes_its_figures() {
     let mut case = set_a();
     case["map"] = json!({"displacement_m": [0.004, 0.010, 3], "voltage_v": [0, 5000, 2]});
     let path = folder.to_str().expect("UTF-8").to_owned();
-    let output = run_task(&["map", "--figures", &path], &case.to_string());
+    let output = run("map", &case.to_string(), &["--figures", &path]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let map: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let mut held = set_a();
     held.as_object_mut().expect("an object").remove("force_n");
     held["displacement_m"] = map["displacement_m"][1].clone();
-    let alone: Value = serde_json::from_slice(&run(&held.to_string()).stdout).expect("JSON");
+    let alone: Value = serde_json::from_slice(&run("solve", &held.to_string(), &[]).stdout).expect("JSON");
     for key in ["force_n", "capacitance_f", "stiffness_n_per_m", "dforce_dvoltage_n_per_v"] {
         let [found, expected] = [&map[key][1][1], &alone[key]].map(|v| v.as_f64().expect("a number"));
         // Two solves of one state, both to 1e-12; derivatives lose two digits.
@@ -168,7 +143,7 @@ fn law_map_agrees_with_single_solves_and_writes_its_figures() {
 fn oracle_failure_of_set_a_names_each_limit_and_what_is_unverified() {
     let mut case = set_a();
     case["breakdown"] = json!("koh-2011");
-    let output = run_task(&["failure"], &case.to_string());
+    let output = run("failure", &case.to_string(), &[]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let limit = |mechanism: &str| {
@@ -203,13 +178,7 @@ fn edge_failed_states_and_bad_criteria_are_refused_with_key_value_and_reason() {
     for (task, parts, damage) in cases {
         let mut case = set_a();
         damage(&mut case);
-        let output = run_task(&[task], &case.to_string());
-        let said = String::from_utf8(output.stderr).expect("UTF-8");
-        assert_eq!(output.status.code(), Some(2), "{task} {case}: {said}");
-        assert!(output.stdout.is_empty(), "{task} {case}: answered all the same");
-        assert_eq!(said.lines().count(), 1, "{said}");
-        for part in parts {
-            assert!(said.contains(part), "{task} {case}: `{part}` is not in: {said}");
-        }
+        let output = run(task, &case.to_string(), &[]);
+        assert_refused(&case.to_string(), output, parts);
     }
 }

@@ -1,21 +1,10 @@
 //! `telepulse membrane calibrate`: records in, parameters with errors or one line of refusal out.
 
-use std::io::Write;
-use std::process::{Command, Output, Stdio};
+use std::process::Command;
 
 use serde_json::{Value, json};
 
-fn run(case: &str) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_telepulse"))
-        .args(["membrane", "calibrate", "-", "--json"])
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the program starts");
-    child.stdin.take().expect("piped").write_all(case.as_bytes()).expect("written");
-    child.wait_with_output().expect("the program ends")
-}
+use crate::membrane_program::{assert_refused, run};
 
 /// The printed plant as rows of a sweep: Eq. (16) once more, independent of the program's own.
 fn printed_rows() -> Vec<[f64; 3]> {
@@ -41,7 +30,7 @@ fn case() -> Value {
 
 #[test]
 fn paper_eq16_as_rows_gives_set_c() {
-    let output = run(&case().to_string());
+    let output = run("calibrate", &case().to_string(), &[]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     for (idx, (key, expected)) in
@@ -98,14 +87,8 @@ fn edge_each_bad_case_is_refused_with_key_value_and_reason() {
     for (parts, damage) in cases {
         let mut case = case();
         damage(&mut case);
-        let output = run(&case.to_string());
-        let said = String::from_utf8(output.stderr).expect("UTF-8");
-        assert_eq!(output.status.code(), Some(2), "{parts:?}: {said}");
-        assert!(output.stdout.is_empty(), "{parts:?}: answered all the same");
-        assert_eq!(said.lines().count(), 1, "{parts:?}: {said}");
-        for part in parts {
-            assert!(said.contains(part), "`{part}` is not in: {said}");
-        }
+        let output = run("calibrate", &case.to_string(), &[]);
+        assert_refused(&case.to_string(), output, parts);
     }
 }
 

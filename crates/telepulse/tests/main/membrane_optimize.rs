@@ -5,18 +5,7 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::{Value, json};
 
-fn run(case: &str, more: &[&str]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_telepulse"))
-        .args(["membrane", "optimize", "-", "--json"])
-        .args(more)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the program starts");
-    child.stdin.take().expect("piped").write_all(case.as_bytes()).expect("written");
-    child.wait_with_output().expect("the program ends")
-}
+use crate::membrane_program::{assert_refused, run};
 
 fn case() -> Value {
     json!({
@@ -36,7 +25,8 @@ fn answer(output: &Output) -> Value {
 fn law_front_is_not_beaten_and_failures_do_not_stop_the_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let drawing = folder.path().join("pareto.svg");
-    let found = answer(&run(&case().to_string(), &["--figure", drawing.to_str().expect("UTF-8")]));
+    let found =
+        answer(&run("optimize", &case().to_string(), &["--figure", drawing.to_str().expect("UTF-8")]));
     let front = found["front"].as_array().expect("a list");
     let of = |design: &Value, key: &str| design[key].as_f64().expect("a number");
     assert!(front.len() >= 2);
@@ -105,14 +95,8 @@ fn edge_each_bad_case_is_refused_with_key_value_and_reason() {
     for (parts, damage) in cases {
         let mut case = case();
         damage(&mut case);
-        let output = run(&case.to_string(), &[]);
-        let said = String::from_utf8(output.stderr).expect("UTF-8");
-        assert_eq!(output.status.code(), Some(2), "{parts:?}: {said}");
-        assert!(output.stdout.is_empty(), "{parts:?}: answered all the same");
-        assert_eq!(said.lines().count(), 1, "{parts:?}: {said}");
-        for part in parts {
-            assert!(said.contains(part), "`{part}` is not in: {said}");
-        }
+        let output = run("optimize", &case.to_string(), &[]);
+        assert_refused(&case.to_string(), output, parts);
     }
 }
 
@@ -120,7 +104,7 @@ fn edge_each_bad_case_is_refused_with_key_value_and_reason() {
 fn edge_no_variant_that_holds_is_a_failed_check() {
     let mut case = case();
     case["sweep"] = json!({"prestretch": [0.5, 0.6]});
-    let output = run(&case.to_string(), &[]);
+    let output = run("optimize", &case.to_string(), &[]);
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
     let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(found["n_failed"], 2);
