@@ -9,7 +9,7 @@ use super::assumptions::{
 use super::instrument::{Imperfections, Instrument};
 use super::plant::Plant;
 use crate::Error;
-use crate::twin::{Twin, TwinModel};
+use crate::twin::{PlateLoad, TwinModel};
 
 /// A laser distance sensor above the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +55,7 @@ impl Default for Laser {
 /// assert!((reading.value - 51.03).abs() < 0.02);
 /// # Ok::<(), telepulse_actuator::Error>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct DisplacementRig {
     plant: Plant,
     laser: Laser,
@@ -87,8 +87,9 @@ impl DisplacementRig {
             min: laser.min_mm,
             max: laser.max_mm,
         };
+        let load = PlateLoad { mass_kg: model.parameters().spec().mass_kg, contact: None };
         Ok(Self {
-            plant: Plant::new(Twin::new(model), &conditions)?,
+            plant: Plant::new(model, load, &conditions)?,
             laser,
             instrument: Instrument::new(imperfections, conditions.sensing_noise, seed)?,
         })
@@ -103,32 +104,38 @@ impl DisplacementRig {
     /// True displacement from rest at the last call, mm, positive down. For evaluation only.
     #[must_use]
     pub fn true_displacement_mm(&self) -> f64 {
-        self.plant.twin.displacement_mm()
+        self.plant.displacement_mm()
     }
 
     /// Power from the amplifier at the last call, W. For evaluation only.
     #[must_use]
     pub fn supply_power_w(&self) -> f64 {
-        self.plant.twin.supply_power_w()
+        self.plant.supply_power_w()
     }
 
     /// Voltage across the membrane at the last call, V. For evaluation only.
     #[must_use]
     pub fn membrane_voltage_v(&self) -> f64 {
-        self.plant.twin.membrane_voltage_v()
+        self.plant.membrane_voltage_v()
     }
 
-    /// The twin inside. For evaluation only.
+    /// True once a reduced twin has left the range of its maps. For evaluation only.
     #[must_use]
-    pub fn twin(&self) -> &Twin {
-        &self.plant.twin
+    pub fn has_left_map(&self) -> bool {
+        self.plant.has_left_map()
+    }
+
+    /// Why the membrane moves no further, where a call has found no equilibrium. For evaluation only.
+    #[must_use]
+    pub fn fault(&self) -> Option<&Error> {
+        self.plant.fault()
     }
 }
 
 impl Sensor for DisplacementRig {
     fn read(&mut self, now: MonotonicNs) -> Result<Reading, SensorFault> {
         self.plant.advance_to(now).map_err(|_| SensorFault::Stale)?;
-        let truth = self.laser.standoff_mm + self.plant.twin.displacement_mm();
+        let truth = self.laser.standoff_mm + self.plant.displacement_mm();
         self.instrument.show(now, truth)
     }
 }

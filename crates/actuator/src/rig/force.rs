@@ -10,7 +10,7 @@ use super::assumptions::{
 use super::instrument::{Imperfections, Instrument};
 use super::plant::Plant;
 use crate::Error;
-use crate::twin::{Contact, PlateLoad, Twin, TwinModel};
+use crate::twin::{Contact, PlateLoad, TwinModel};
 
 /// A load cell that holds the plate from above. All defaults are assumptions ([`super::rig_assumptions`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +52,7 @@ impl Default for LoadCell {
 /// ```
 /// **Sign**: the reading is the compression of the cell in N, which at rest is F minus the plate's own weight. Voltage lowers
 /// F, so the reading **falls** as the voltage rises. The cell can push the plate, not pull it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct ForceRig {
     plant: Plant,
     instrument: Instrument,
@@ -119,7 +119,7 @@ impl ForceRig {
             max: cell.range_n,
         };
         Ok(Self {
-            plant: Plant::new(Twin::with_load(model, load), &conditions)?,
+            plant: Plant::new(model, load, &conditions)?,
             instrument: Instrument::new(imperfections, conditions.sensing_noise, seed)?,
         })
     }
@@ -127,38 +127,44 @@ impl ForceRig {
     /// True compression of the load cell at the last call, N. For evaluation only.
     #[must_use]
     pub fn true_force_n(&self) -> f64 {
-        self.plant.twin.contact_force_n()
+        self.plant.contact_force_n()
     }
 
     /// True displacement from the rest position under the weight at the last call, mm. For evaluation only.
     #[must_use]
     pub fn true_displacement_mm(&self) -> f64 {
-        self.plant.twin.displacement_mm()
+        self.plant.displacement_mm()
     }
 
     /// Power from the amplifier at the last call, W. For evaluation only.
     #[must_use]
     pub fn supply_power_w(&self) -> f64 {
-        self.plant.twin.supply_power_w()
+        self.plant.supply_power_w()
     }
 
     /// Voltage across the membrane at the last call, V. For evaluation only.
     #[must_use]
     pub fn membrane_voltage_v(&self) -> f64 {
-        self.plant.twin.membrane_voltage_v()
+        self.plant.membrane_voltage_v()
     }
 
-    /// The twin inside. For evaluation only.
+    /// True once a reduced twin has left the range of its maps. For evaluation only.
     #[must_use]
-    pub fn twin(&self) -> &Twin {
-        &self.plant.twin
+    pub fn has_left_map(&self) -> bool {
+        self.plant.has_left_map()
+    }
+
+    /// Why the membrane moves no further, where a call has found no equilibrium. For evaluation only.
+    #[must_use]
+    pub fn fault(&self) -> Option<&Error> {
+        self.plant.fault()
     }
 }
 
 impl Sensor for ForceRig {
     fn read(&mut self, now: MonotonicNs) -> Result<Reading, SensorFault> {
         self.plant.advance_to(now).map_err(|_| SensorFault::Stale)?;
-        let truth = self.plant.twin.contact_force_n();
+        let truth = self.plant.contact_force_n();
         self.instrument.show(now, truth)
     }
 }

@@ -13,6 +13,8 @@ pub use assumptions::{RigAssumption, rig_assumptions};
 pub use displacement::{DisplacementRig, Laser};
 pub use force::{ForceRig, LoadCell};
 
+use crate::twin::Fidelity;
+
 /// A force on the plate that sets in during the run and stays.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceStep {
@@ -40,4 +42,6 @@ pub struct RigConditions {
     pub sensing_noise: Option<SensingSine>,
     /// Voltage under which plate, circuit and branches have settled before the run starts, V.
     pub initial_bias_v: f64,
+    /// Which model of the device moves: the reduced twin, or the field-level model, some hundred times slower.
+    pub fidelity: Fidelity,
 }
