@@ -2,8 +2,6 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Complex, SMatrix, SVector};
-
 use crate::Error;
 use crate::twin::TwinModel;
 
@@ -52,27 +50,32 @@ pub struct SensedDisplacement {
 
 /// Displacement from the capacitance, which a carrier shows.
 ///
-/// **Method**: to each record of voltage u and current i a carrier and a cubic, which takes up the moving bias, are fitted by
-/// least squares under a Hann window. The leak u/R_leak taken off, their
-/// ratio is R_s + 1/(j w C), so its imaginary part gives C whatever R_s is. Around a bias it is the chord of the charge
-/// C(x, Phi) Phi over the carrier's swing that is seen; it is inverted for x on the maps of the twin.
+/// **Shapes and units**: `u[k]` (V) is held over sample k, `i[k]` (A) is the mean current over it, as integrating converters give
+/// both; `dt` is the sample time.
 ///
-/// **Accuracy**: the noise of one window enters as g sqrt(s_u^2 + |Z|^2 s_i^2)/|I|, g about sqrt(3/N), into the imaginary part of Z. On top
-/// come a few micrometres because the plate follows the carrier a little (tests), an error of the leak resistance, and what
-/// creep does to the shape at a given displacement. C changes by 0.36 % for each mm: without a carrier, from the drive's
-/// own pulse, the plate's motion at the same frequency would pass for half a millimetre.
+/// **Method**: the leak u/R_leak taken off, the charge at the start of each sample is q\[k\] = dt (i\[0\] + .. + i\[k-1\]) but for a constant,
+/// and for a constant capacitance u\[k\] = q\[k\]/C + R' i\[k\] + constant holds exactly, whatever the drive does, with
+/// R' = dt/(C (1 - exp(-dt/(R_s C)))). 1/C and R' are fitted by least squares under a Hann window; a cubic in time takes up the
+/// constant and what the plate's motion does to q/C. Around a bias it is the chord of the charge C(x, Phi) Phi over the
+/// carrier's swing that is seen; it is inverted for x on the maps of the twin.
+///
+/// **Accuracy**: the noise of the samples is carried through to the estimate. On top come a few micrometres because the plate follows
+/// the carrier a little, what motion within a window leaves beside a cubic (0.02 mm at 1.2 Hz, tests), an error of the
+/// leak resistance, and what creep does to the shape at a given displacement. C changes by 0.36 % for each mm: without a
+/// carrier, from the drive's own pulse, the plate's motion at the same frequency would pass for half a millimetre. A jump of the bias within
+/// the window passes for some tenths of a millimetre, since C at a given displacement changes with voltage.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CapacitiveSensor {
     model: TwinModel,
     settings: SensingSettings,
-    /// Times a record, summed: the phasor of its carrier.
-    demodulator: Vec<Complex<f64>>,
-    /// Standard deviation of a phasor's parts for samples with one of 1.
-    noise_gain: f64,
     /// Hann window of sum 1.
     window: Vec<f64>,
+    /// Powers 0 to 3 of time, orthonormal under the window.
+    powers: [Vec<f64>; N_POWERS],
 }
 
+/// Powers of time beside the circuit.
+const N_POWERS: usize = 4;
 /// Halvings of the displacement's range.
 const BISECTIONS: usize = 50;
 /// Step in displacement over which the slope of the capacitance is taken, mm.
@@ -106,10 +109,8 @@ impl CapacitiveSensor {
         let window: Vec<f64> = (0..n_samples)
             .map(|k| (1.0 - (TAU * (k as f64 + 0.5) / n_samples as f64).cos()) / n_samples as f64)
             .collect();
-        let demodulator = demodulator(&window, TAU * settings.n_periods as f64);
-        // Both parts of the phasor carry half of this.
-        let noise_gain = (0.5 * demodulator.iter().map(Complex::norm_sqr).sum::<f64>()).sqrt();
-        Ok(Self { model: model.clone(), settings, demodulator, noise_gain, window })
+        let powers = orthonormal_powers(&window);
+        Ok(Self { model: model.clone(), settings, window, powers })
     }
 
     /// Samples in one window.
@@ -118,7 +119,18 @@ impl CapacitiveSensor {
         self.window.len()
     }
 
-    /// The displacement over the last window of the amplifier's voltage and current.
+    /// Time by which an estimate lags: half a window, s.
+    #[must_use]
+    pub fn lag_s(&self) -> f64 {
+        0.5 * self.n_samples() as f64 * self.settings.sample_time_s
+    }
+
+    /// Weights of the samples in an estimate, of sum 1.
+    pub(crate) fn window(&self) -> &[f64] {
+        &self.window
+    }
+
+    /// The displacement over the last window of the amplifier's voltage (held over each sample) and current (mean over each sample).
     ///
     /// # Errors
     /// [`Error::Request`] for records of another length than a window or each other, or with values that are not finite;
@@ -133,34 +145,81 @@ impl CapacitiveSensor {
                 return Err(Error::Request { quantity, allowed: "finite", found });
             }
         }
-        let spec = self.model.parameters().spec();
-        let omega = TAU * self.settings.carrier_hz;
-        let at_carrier = |record: &[f64]| -> Complex<f64> {
-            record.iter().zip(&self.demodulator).map(|(value, factor)| factor * value).sum()
-        };
+        let leak_ohm = self.model.parameters().spec().leak_resistance_ohm;
+        let dt = self.settings.sample_time_s;
+        let charging: Vec<f64> = current_a.iter().zip(voltage_v).map(|(i, u)| i - u / leak_ohm).collect();
+        let mut charge = 0.0;
+        let charges: Vec<f64> = charging
+            .iter()
+            .map(|i| {
+                let before = charge;
+                charge += i * dt;
+                before
+            })
+            .collect();
+        let seen = self.circuit(voltage_v, &charging, &charges);
+        let capacitance_f = 1.0 / seen.elastance_per_f;
         let mean = |record: &[f64]| record.iter().zip(&self.window).map(|(value, w)| value * w).sum::<f64>();
-        let voltage = at_carrier(voltage_v);
-        let current = at_carrier(current_a) - voltage / spec.leak_resistance_ohm;
-        let impedance = voltage / current;
-        let capacitance_f = -1.0 / (omega * impedance.im);
-        let series_resistance_ohm = impedance.re;
-        let charging = mean(current_a) - mean(voltage_v) / spec.leak_resistance_ohm;
-        let bias_v = mean(voltage_v) - series_resistance_ohm * charging;
-        let swing_v = (voltage - current * impedance.re).norm();
+        let bias_v = mean(voltage_v) - seen.resistance_ohm * mean(&charging);
+        let swing_v = seen.charge_swing_c * seen.elastance_per_f;
         let displacement_mm = self.displacement_mm(capacitance_f, bias_v, swing_v)?;
         let slope = (self.chord_f(displacement_mm + SLOPE_STEP_MM, bias_v, swing_v)
             - self.chord_f(displacement_mm - SLOPE_STEP_MM, bias_v, swing_v))
             / (2.0 * SLOPE_STEP_MM);
-        let SensingSettings { voltage_noise_v, current_noise_a, .. } = self.settings;
-        let reactance_noise =
-            self.noise_gain * voltage_noise_v.hypot(impedance.norm() * current_noise_a) / current.norm();
+        // R' = dt/(C (1 - a)), a = exp(-dt/(R_s C)).
+        let decay = 1.0 - dt * seen.elastance_per_f / seen.resistance_ohm;
+        let series_resistance_ohm = -dt * seen.elastance_per_f / decay.ln();
         Ok(SensedDisplacement {
             displacement_mm,
-            standard_deviation_mm: omega * capacitance_f * capacitance_f * reactance_noise / slope.abs(),
+            standard_deviation_mm: capacitance_f * capacitance_f * seen.elastance_noise / slope.abs(),
             capacitance_f,
             series_resistance_ohm,
             bias_v,
         })
+    }
+
+    /// Fits u = q/C + R' i + cubic.
+    fn circuit(&self, voltage_v: &[f64], charging_a: &[f64], charges_c: &[f64]) -> SeenCircuit {
+        let [u, q, i] = [voltage_v, charges_c, charging_a].map(|record| self.without_powers(record));
+        let dot = |a: &[f64], b: &[f64]| -> f64 {
+            a.iter().zip(b).zip(&self.window).map(|((a, b), w)| a * b * w).sum()
+        };
+        let (qq, qi, ii) = (dot(&q, &q), dot(&q, &i), dot(&i, &i));
+        let (uq, ui) = (dot(&u, &q), dot(&u, &i));
+        let determinant = qq * ii - qi * qi;
+        let elastance_per_f = (uq * ii - ui * qi) / determinant;
+        let resistance_ohm = (ui * qq - uq * qi) / determinant;
+        // 1/C is a sum of g[k] u[k] with these weights; the cubic is in neither q nor i.
+        let weights =
+            q.iter().zip(&i).zip(&self.window).map(|((q, i), w)| w * (q * ii - i * qi) / determinant);
+        let weights: Vec<f64> = weights.collect();
+        let SensingSettings { voltage_noise_v, current_noise_a, sample_time_s, .. } = self.settings;
+        // A current's error enters by R' at once and by q/C from the next sample on.
+        let (mut variance, mut later) = (0.0, 0.0);
+        for g in weights.iter().rev() {
+            let by_current = resistance_ohm * g + sample_time_s * elastance_per_f * later;
+            variance += (voltage_noise_v * g).powi(2) + (current_noise_a * by_current).powi(2);
+            later += g;
+        }
+        SeenCircuit {
+            elastance_per_f,
+            resistance_ohm,
+            charge_swing_c: (2.0 * qq).sqrt(),
+            elastance_noise: variance.sqrt(),
+        }
+    }
+
+    /// What a cubic leaves of a record.
+    fn without_powers(&self, record: &[f64]) -> Vec<f64> {
+        let mut left = record.to_vec();
+        // Each part is taken from what the ones before have left: rounding does not add up.
+        for power in &self.powers {
+            let part: f64 = left.iter().zip(power).zip(&self.window).map(|((v, p), w)| v * p * w).sum();
+            for (value, p) in left.iter_mut().zip(power) {
+                *value -= part * p;
+            }
+        }
+        left
     }
 
     /// Change of charge over the carrier's swing, F.
@@ -174,7 +233,8 @@ impl CapacitiveSensor {
         let range = self.model.range();
         let (mut low, mut high) = (range.min_mm, range.max_mm);
         let ends = [low, high].map(|x| self.chord_f(x, bias_v, swing_v));
-        // Written so that NaN is refused too.
+        // Without a carrier nothing determines C: the quotient may be anything, or no number.
+        let capacitance_f = if capacitance_f.is_finite() { capacitance_f } else { 0.0 };
         if !(capacitance_f >= ends[0] && capacitance_f <= ends[1]) {
             return Err(Error::CapacitanceOutOfRange { capacitance_f, min_f: ends[0], max_f: ends[1] });
         }
@@ -186,34 +246,37 @@ impl CapacitiveSensor {
     }
 }
 
-/// Functions fitted: cosine and sine of the carrier, and the powers 0 to 3 of time.
-const FITTED: usize = 6;
+/// What a window shows of the circuit.
+struct SeenCircuit {
+    /// 1/C.
+    elastance_per_f: f64,
+    /// R'.
+    resistance_ohm: f64,
+    /// Amplitude of a sine with the charge's mean square.
+    charge_swing_c: f64,
+    /// Standard deviation of 1/C by the stated noise.
+    elastance_noise: f64,
+}
 
-/// Rows of the weighted least-squares solution that give the carrier's phasor, cosine minus j sine; `turns_rad` is the
-/// carrier's phase over the window.
-fn demodulator(window: &[f64], turns_rad: f64) -> Vec<Complex<f64>> {
+/// Powers 0 to 3 of time, made orthonormal under the window by Gram and Schmidt.
+fn orthonormal_powers(window: &[f64]) -> [Vec<f64>; N_POWERS] {
     let n = window.len() as f64;
-    let functions = |k: usize| {
-        let phase = turns_rad * k as f64 / n;
+    let mut powers: [Vec<f64>; N_POWERS] = Default::default();
+    for degree in 0..N_POWERS {
         // From -1 to 1, so that the powers stay apart.
-        let t = (2.0 * k as f64 + 1.0) / n - 1.0;
-        SVector::<f64, FITTED>::from([phase.cos(), phase.sin(), 1.0, t, t * t, t * t * t])
-    };
-    let mut normal = SMatrix::<f64, FITTED, FITTED>::zeros();
-    for (k, w) in window.iter().enumerate() {
-        let f = functions(k);
-        normal += *w * f * f.transpose();
+        let mut power: Vec<f64> =
+            (0..window.len()).map(|k| ((2.0 * k as f64 + 1.0) / n - 1.0).powi(degree as i32)).collect();
+        for lower in &powers[..degree] {
+            let part: f64 = power.iter().zip(lower).zip(window).map(|((a, b), w)| a * b * w).sum();
+            for (value, l) in power.iter_mut().zip(lower) {
+                *value -= part * l;
+            }
+        }
+        let norm = power.iter().zip(window).map(|(p, w)| p * p * w).sum::<f64>().sqrt();
+        power.iter_mut().for_each(|value| *value /= norm);
+        powers[degree] = power;
     }
-    // Six independent functions on at least 32 samples: the matrix is positive definite.
-    let inverse = normal.try_inverse().expect("independent functions");
-    window
-        .iter()
-        .enumerate()
-        .map(|(k, w)| {
-            let row = inverse * functions(k) * *w;
-            Complex::new(row[0], -row[1])
-        })
-        .collect()
+    powers
 }
 
 fn require(holds: bool, key: &'static str, allowed: &'static str, found: f64) -> Result<(), Error> {

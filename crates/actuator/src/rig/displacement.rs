@@ -1,4 +1,4 @@
-//! The rig of the paper's displacement runs: a weight on the plate, a laser above it.
+//! The rig of the paper's displacement runs: a weight on the plate, a laser above it, or its own capacitance as the sensor.
 
 use telepulse_rt::{Drive, DriveFault, DriveVoltage, MonotonicNs, Reading, Sensor, SensorFault};
 
@@ -6,8 +6,9 @@ use super::RigConditions;
 use super::assumptions::{
     LASER_MAX_MM, LASER_MIN_MM, LASER_NOISE_RMS_MM, LASER_RESOLUTION_MM, LASER_STANDOFF_MM,
 };
+use super::capacitance::{CapacitanceGauge, CapacitiveReading, SensingRecord};
 use super::instrument::{Imperfections, Instrument};
-use super::plant::Plant;
+use super::plant::{Plant, PlantFault};
 use crate::Error;
 use crate::twin::{PlateLoad, TwinModel};
 
@@ -39,9 +40,10 @@ impl Default for Laser {
     }
 }
 
-/// The actuator under its weight, read by a laser.
+/// The actuator under its weight, read by a laser or by its own capacitance.
 ///
-/// **Sign**: the laser reads its stand-off plus the displacement from rest; voltage lowers the plate and raises the reading.
+/// **Sign**: the laser reads its stand-off plus the displacement from rest; voltage lowers the plate and raises the reading. The
+/// capacitance reads the displacement from rest, as the mean over a window that ends now.
 ///
 /// **Example**
 /// ```
@@ -58,8 +60,14 @@ impl Default for Laser {
 #[derive(Debug, Clone)]
 pub struct DisplacementRig {
     plant: Plant,
-    laser: Laser,
-    instrument: Instrument,
+    gauge: Gauge,
+}
+
+/// What reads the plate.
+#[derive(Debug, Clone)]
+enum Gauge {
+    Laser { standoff_mm: f64, instrument: Instrument },
+    Capacitance(Box<CapacitanceGauge>),
 }
 
 impl DisplacementRig {
@@ -87,18 +95,61 @@ impl DisplacementRig {
             min: laser.min_mm,
             max: laser.max_mm,
         };
-        let load = PlateLoad { mass_kg: model.parameters().spec().mass_kg, contact: None };
-        Ok(Self {
-            plant: Plant::new(model, load, &conditions)?,
-            laser,
-            instrument: Instrument::new(imperfections, conditions.sensing_noise, seed)?,
-        })
+        let instrument = Instrument::new(imperfections, conditions.sensing_noise, seed)?;
+        let gauge = Gauge::Laser { standoff_mm: laser.standoff_mm, instrument };
+        Ok(Self { plant: Plant::new(model, own_load(model), &conditions)?, gauge })
     }
 
-    /// Laser reading at the rest position, mm.
+    /// A rig that feels its plate by the capacitance: a carrier is added to the drive, which is sampled with current and voltage.
+    ///
+    /// **Method**: [`crate::sensing::CapacitiveSensor`] on the last window, at every reading. The carrier has run for five windows when the
+    /// clock starts. Commands are kept `carrier_v` away from zero and from `ceiling_v`.
+    ///
+    /// **Accuracy**: a reading is the mean over a window, so it lags by half of it (20 ms); [`DisplacementRig::sensing`] says how
+    /// far readings were from that mean.
+    ///
+    /// # Errors
+    /// [`Error::Request`] names the condition and [`Error::Parameter`] the setting that is out of range.
+    pub fn with_capacitance(
+        model: &TwinModel,
+        reading: CapacitiveReading,
+        conditions: RigConditions,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        if let Some(sine) = conditions.sensing_noise {
+            sine.check()?;
+        }
+        let mut plant = Plant::new(model, own_load(model), &conditions)?;
+        let disturbance = plant.undisturbed();
+        let (sine, bias_v) = (conditions.sensing_noise, conditions.initial_bias_v);
+        let gauge = CapacitanceGauge::new(model, reading, sine, seed, &mut plant, bias_v)?;
+        plant.disturb(disturbance);
+        Ok(Self { plant, gauge: Gauge::Capacitance(Box::new(gauge)) })
+    }
+
+    /// Reading at the rest position, mm: the laser's stand-off, or zero.
     #[must_use]
     pub fn standoff_mm(&self) -> f64 {
-        self.laser.standoff_mm
+        match &self.gauge {
+            Gauge::Laser { standoff_mm, .. } => *standoff_mm,
+            Gauge::Capacitance(_) => 0.0,
+        }
+    }
+
+    /// How far readings of the capacitance were from the truth; nothing for a laser. For evaluation only.
+    #[must_use]
+    pub fn sensing(&self) -> Option<SensingRecord> {
+        match &self.gauge {
+            Gauge::Laser { .. } => None,
+            Gauge::Capacitance(gauge) => Some(gauge.record()),
+        }
+    }
+
+    fn advance_to(&mut self, now: MonotonicNs) -> Result<(), PlantFault> {
+        match &mut self.gauge {
+            Gauge::Laser { .. } => self.plant.advance_to(now),
+            Gauge::Capacitance(gauge) => gauge.advance_to(&mut self.plant, now),
+        }
     }
 
     /// True displacement from rest at the last call, mm, positive down. For evaluation only.
@@ -125,23 +176,42 @@ impl DisplacementRig {
         self.plant.has_left_map()
     }
 
-    /// Why the membrane moves no further, where a call has found no equilibrium. For evaluation only.
+    /// Why the membrane moves no further, where a call has found no equilibrium, or why its capacitance told nothing. For
+    /// evaluation only.
     #[must_use]
     pub fn fault(&self) -> Option<&Error> {
-        self.plant.fault()
+        self.plant.fault().or(match &self.gauge {
+            Gauge::Laser { .. } => None,
+            Gauge::Capacitance(gauge) => gauge.fault(),
+        })
     }
+}
+
+fn own_load(model: &TwinModel) -> PlateLoad {
+    PlateLoad { mass_kg: model.parameters().spec().mass_kg, contact: None }
 }
 
 impl Sensor for DisplacementRig {
     fn read(&mut self, now: MonotonicNs) -> Result<Reading, SensorFault> {
-        self.plant.advance_to(now).map_err(|_| SensorFault::Stale)?;
-        let truth = self.laser.standoff_mm + self.plant.displacement_mm();
-        self.instrument.show(now, truth)
+        self.advance_to(now).map_err(|_| SensorFault::Stale)?;
+        match &mut self.gauge {
+            Gauge::Laser { standoff_mm, instrument } => {
+                instrument.show(now, *standoff_mm + self.plant.displacement_mm())
+            }
+            Gauge::Capacitance(gauge) => gauge.show(now),
+        }
     }
 }
 
 impl Drive for DisplacementRig {
     fn apply(&mut self, now: MonotonicNs, voltage: DriveVoltage) -> Result<(), DriveFault> {
-        self.plant.drive(now, voltage.volts()).map_err(|_| DriveFault::Refused)
+        self.advance_to(now).map_err(|_| DriveFault::Refused)?;
+        match &mut self.gauge {
+            Gauge::Laser { .. } => self.plant.drive(now, voltage.volts()).map_err(|_| DriveFault::Refused),
+            Gauge::Capacitance(gauge) => {
+                gauge.command(voltage.volts());
+                Ok(())
+            }
+        }
     }
 }

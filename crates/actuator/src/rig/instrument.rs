@@ -21,7 +21,7 @@ pub(super) struct Imperfections {
 pub(super) struct Instrument {
     imperfections: Imperfections,
     sine: Option<SensingSine>,
-    random: Pcg64Mcg,
+    noise: Gaussian,
 }
 
 impl Instrument {
@@ -43,28 +43,17 @@ impl Instrument {
                 found: max,
             });
         }
-        if let Some(SensingSine { amplitude_in_sensor_unit, frequency_hz }) = sine {
-            let parts = [
-                ("sensing noise amplitude", amplitude_in_sensor_unit),
-                ("sensing noise frequency_hz", frequency_hz),
-            ];
-            for (quantity, found) in parts {
-                if !(found.is_finite() && found >= 0.0) {
-                    return Err(Error::Request { quantity, allowed: "finite and not negative", found });
-                }
-            }
+        if let Some(sine) = sine {
+            sine.check()?;
         }
-        Ok(Self { imperfections, sine, random: Pcg64Mcg::seed_from_u64(seed) })
+        Ok(Self { imperfections, sine, noise: Gaussian::new(seed) })
     }
 
     /// What the instrument shows for a true value at `now`. Every call draws one random number.
     pub(super) fn show(&mut self, now: MonotonicNs, truth: f64) -> Result<Reading, SensorFault> {
         let Imperfections { noise_rms, resolution, min, max } = self.imperfections;
-        let sine = self.sine.map_or(0.0, |sine| {
-            sine.amplitude_in_sensor_unit
-                * (2.0 * std::f64::consts::PI * sine.frequency_hz * now.seconds()).sin()
-        });
-        let analog = truth + sine + noise_rms * self.gaussian();
+        let sine = self.sine.map_or(0.0, |sine| sine.at(now));
+        let analog = truth + sine + noise_rms * self.noise.draw();
         let value = if resolution > 0.0 { (analog / resolution).round() * resolution } else { analog };
         if !value.is_finite() {
             return Err(SensorFault::NotFinite);
@@ -74,11 +63,21 @@ impl Instrument {
         }
         Ok(Reading { value })
     }
+}
 
-    /// A standard normal number by Box and Muller.
-    fn gaussian(&mut self) -> f64 {
+/// Standard normal numbers from a seed.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Gaussian(Pcg64Mcg);
+
+impl Gaussian {
+    pub(super) fn new(seed: u64) -> Self {
+        Self(Pcg64Mcg::seed_from_u64(seed))
+    }
+
+    /// The next number, by Box and Muller.
+    pub(super) fn draw(&mut self) -> f64 {
         // 53 random bits, moved by half a step so that the logarithm never sees zero.
-        let mut uniform = || ((self.random.next_u64() >> 11) as f64 + 0.5) * (0.5_f64).powi(53);
+        let mut uniform = || ((self.0.next_u64() >> 11) as f64 + 0.5) * (0.5_f64).powi(53);
         let radius = (-2.0 * uniform().ln()).sqrt();
         radius * (2.0 * std::f64::consts::PI * uniform()).cos()
     }

@@ -4,15 +4,20 @@
 //! during a run (the true displacement, say) is there for evaluation afterwards.
 
 mod assumptions;
+mod capacitance;
 mod displacement;
 mod force;
 mod instrument;
 mod plant;
 
 pub use assumptions::{RigAssumption, rig_assumptions};
+pub use capacitance::{CapacitiveReading, SensingRecord};
 pub use displacement::{DisplacementRig, Laser};
 pub use force::{ForceRig, LoadCell};
 
+use telepulse_rt::MonotonicNs;
+
+use crate::Error;
 use crate::twin::Fidelity;
 
 /// A force on the plate that sets in during the run and stays.
@@ -31,6 +36,25 @@ pub struct SensingSine {
     pub amplitude_in_sensor_unit: f64,
     /// Frequency, Hz.
     pub frequency_hz: f64,
+}
+
+impl SensingSine {
+    fn at(&self, now: MonotonicNs) -> f64 {
+        self.amplitude_in_sensor_unit * (std::f64::consts::TAU * self.frequency_hz * now.seconds()).sin()
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        let parts = [
+            ("sensing noise amplitude", self.amplitude_in_sensor_unit),
+            ("sensing noise frequency_hz", self.frequency_hz),
+        ];
+        for (quantity, found) in parts {
+            if !(found.is_finite() && found >= 0.0) {
+                return Err(Error::Request { quantity, allowed: "finite and not negative", found });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// What a run is exposed to. The default is the normal condition from zero voltage.

@@ -85,15 +85,16 @@ impl Plant {
         Ok(Self { body, now: MonotonicNs(0), drive_v: bias, disturbance, fault: None })
     }
 
+    /// Seconds from the time reached to `now`, which may lie neither behind nor too far ahead.
+    pub(super) fn require_ahead(&self, now: MonotonicNs) -> Result<f64, PlantFault> {
+        let gap_ns = now.0.checked_sub(self.now.0).ok_or(PlantFault::NotAhead)?;
+        let duration = gap_ns as f64 * 1e-9;
+        if duration <= MAX_GAP_S { Ok(duration) } else { Err(PlantFault::NotAhead) }
+    }
+
     /// Integrates up to `now` with the held voltage; a disturbance that sets in between splits the interval there.
     pub(super) fn advance_to(&mut self, now: MonotonicNs) -> Result<(), PlantFault> {
-        let Some(gap_ns) = now.0.checked_sub(self.now.0) else {
-            return Err(PlantFault::NotAhead);
-        };
-        let duration = gap_ns as f64 * 1e-9;
-        if duration > MAX_GAP_S {
-            return Err(PlantFault::NotAhead);
-        }
+        let duration = self.require_ahead(now)?;
         let before =
             self.disturbance.map_or(duration, |step| step.start_s - self.now.seconds()).clamp(0.0, duration);
         let force = self.disturbance.map_or(0.0, |step| step.force_n);
@@ -133,6 +134,16 @@ impl Plant {
     /// Starts the clock anew where the device stands.
     pub(super) fn restart_clock(&mut self) {
         self.now = MonotonicNs(0);
+    }
+
+    /// Takes the disturbance off until [`Plant::disturb`] puts it back.
+    pub(super) fn undisturbed(&mut self) -> Option<ForceStep> {
+        self.disturbance.take()
+    }
+
+    /// Lets this disturbance act.
+    pub(super) fn disturb(&mut self, disturbance: Option<ForceStep>) {
+        self.disturbance = disturbance;
     }
 
     /// The first refusal of the membrane, after which nothing moves any more.
@@ -224,8 +235,7 @@ impl FieldBody {
 
     fn supply_power_w(&self, drive_v: f64) -> f64 {
         let spec = self.parameters.spec();
-        let charging =
-            self.twin.capacitance_f() * (drive_v - self.twin.membrane_voltage_v()) / spec.rc_s;
+        let charging = self.twin.capacitance_f() * (drive_v - self.twin.membrane_voltage_v()) / spec.rc_s;
         drive_v * (charging + drive_v / spec.leak_resistance_ohm).max(0.0)
     }
 }

@@ -1,7 +1,7 @@
 //! Rigs seen through the sensor and drive traits.
 
 use telepulse_actuator::rig::{
-    DisplacementRig, ForceRig, ForceStep, Laser, LoadCell, RigConditions, SensingSine,
+    CapacitiveReading, DisplacementRig, ForceRig, ForceStep, Laser, LoadCell, RigConditions, SensingSine,
 };
 use telepulse_actuator::twin::{Fidelity, TwinModel};
 use telepulse_actuator::{Error, ParameterSet};
@@ -236,8 +236,58 @@ fn edge_a_field_level_membrane_without_equilibrium_stops_the_rig_with_the_reason
         disturbance: Some(ForceStep { force_n: 1e4, start_s: 0.0 }),
         ..RigConditions::default()
     };
-    let mut rig = DisplacementRig::with_laser(&model(), quiet_laser(), conditions, 1).expect("valid");
+    // A laser that sees any distance: it is the membrane that has to say no.
+    let laser = Laser { max_mm: 1e9, ..quiet_laser() };
+    let mut rig = DisplacementRig::with_laser(&model(), laser, conditions, 1).expect("valid");
     let refused = (1..2000).find_map(|tick| rig.read(MonotonicNs(tick * TICK_NS)).err());
-    assert!(refused.is_some(), "10 kN tear a membrane of 1 N off its frame");
+    assert_eq!(refused, Some(SensorFault::Stale), "10 kN are more than a membrane of 1 N bears");
+    assert!(rig.fault().is_some());
     assert!(rig.read(MonotonicNs(u64::from(u32::MAX))).is_err(), "it does not come back");
+}
+
+#[test]
+fn law_capacitance_feels_the_plate_within_its_stated_error_in_both_fidelities() {
+    let model = model();
+    for (fidelity, n_ticks) in [(Fidelity::Reduced, 4000_u64), (Fidelity::Field, 400)] {
+        let conditions = RigConditions { fidelity, initial_bias_v: 2500.0, ..RigConditions::default() };
+        let reading = CapacitiveReading::below(5000.0);
+        let mut rig = DisplacementRig::with_capacitance(&model, reading, conditions, 11).expect("valid");
+        for tick in 0..n_ticks {
+            let drive_v = 2500.0 + 800.0 * (std::f64::consts::TAU * 1.2 * tick as f64 * 5e-4).sin();
+            run(&mut rig, tick, 1, drive_v);
+        }
+        let found = rig.sensing().expect("felt");
+        assert_eq!(found.n_readings as u64, n_ticks);
+        // 0.02 mm on a moving plate, as the sensor's own tests have it, and five standard deviations of noise.
+        let allowed = 0.02 + 5.0 * found.standard_deviation_max_mm;
+        assert!(found.error_max_mm < allowed, "{fidelity:?}: {found:?}");
+        assert!(found.standard_deviation_max_mm < 0.01, "{fidelity:?}: {found:?}");
+        assert!(rig.fault().is_none());
+    }
+}
+
+#[test]
+fn edge_carrier_keeps_command_and_ceiling_apart_and_bad_settings_are_refused() {
+    let model = model();
+    let reading = CapacitiveReading::below(5000.0);
+    let mut rig =
+        DisplacementRig::with_capacitance(&model, reading, RigConditions::default(), 1).expect("valid");
+    let mut highest = 0.0_f64;
+    for tick in 0..2000 {
+        run(&mut rig, tick, 1, 5000.0);
+        highest = highest.max(rig.membrane_voltage_v());
+    }
+    // The circuit passes 1/sqrt(1 + (w RC)^2) = 0.33 of the carrier, about a command that was lowered to 4900 V.
+    assert!((4900.0..4940.0).contains(&highest), "{highest}");
+    for (key, bad) in [
+        ("carrier_v", CapacitiveReading { carrier_v: f64::NAN, ..reading }),
+        ("ceiling_v", CapacitiveReading { ceiling_v: 150.0, ..reading }),
+        ("ceiling_v", CapacitiveReading { ceiling_v: 6000.0, ..reading }),
+    ] {
+        match DisplacementRig::with_capacitance(&model, bad, RigConditions::default(), 1) {
+            Err(Error::Parameter { key: found, .. }) => assert_eq!(found, key),
+            other => panic!("{key}: {other:?}"),
+        }
+    }
+    assert_eq!(rig.read(MonotonicNs(0)), Err(SensorFault::Stale));
 }
