@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use serde::Serialize;
+use telepulse_actuator::twin::Fidelity;
 use telepulse_pulse::{PulseRecording, Unit};
 
 use super::{Verdict, answer};
@@ -12,7 +13,7 @@ use crate::artefact;
 use crate::recording;
 use crate::station::device;
 use crate::station::replay::{Followed, MAX_MM, follow, pulse_reference, read_recipe};
-use crate::study::config::Study;
+use crate::study::config::{SensorChoice, Study};
 
 #[derive(Debug, Args)]
 pub(super) struct TrackArguments {
@@ -40,6 +41,16 @@ struct Answer {
     #[serde(skip_serializing_if = "Option::is_none")]
     max_abs_error_mm: Option<f64>,
     provenance: String,
+    /// Which model of the device moved.
+    fidelity: Fidelity,
+    /// What read the plate.
+    sensor: SensorChoice,
+    /// Largest difference between a reading of self-sensing and the true mean over its window.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sensing_error_max_mm: Option<f64>,
+    /// Largest standard deviation stated with such a reading.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sensing_standard_deviation_max_mm: Option<f64>,
 }
 
 pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
@@ -49,7 +60,7 @@ pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
     let reference_mm =
         in_mm(&study, &reference).with_context(|| format!("in {}", typed.reference.display()))?;
     let twin = device::twin(&study)?;
-    let Followed { result, trace, mean_abs_error_mm, max_abs_error_mm } =
+    let Followed { result, trace, mean_abs_error_mm, max_abs_error_mm, sensing } =
         follow(&study, &twin, &recipe, &reference.title, reference_mm).with_context(|| {
             format!(
                 "following {} with {} and {}",
@@ -67,6 +78,10 @@ pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
         mean_abs_error_mm,
         max_abs_error_mm,
         provenance: recipe.provenance().to_string(),
+        fidelity: study.actuator.fidelity,
+        sensor: study.actuator.sensor,
+        sensing_error_max_mm: sensing.map(|sensing| sensing.error_max_mm),
+        sensing_standard_deviation_max_mm: sensing.map(|sensing| sensing.standard_deviation_max_mm),
     };
     answer(json, &answered, || {
         vec![

@@ -1,5 +1,7 @@
 //! The page that shows a study.
 
+use telepulse_actuator::twin::Fidelity;
+
 use super::figures::controller_style;
 use crate::figure::{Cell, Figure, ReportPage, Status, Table};
 use crate::study::outcome::{CertificateSummary, Outcome, Synthesis, Tracking};
@@ -40,9 +42,7 @@ pub fn render(outcome: &Outcome, figures: &[Figure]) -> String {
         "A recorded pulse was sent from a patient process to a doctor process and replayed there on the virtual rig.",
     );
     page = draw(page, &["tracked-pulse"]);
-    page = page.section("Device").paragraph(
-        "Reduced twin of the membrane, derived from the corrected model; identification sees its sensor and its drive only.",
-    );
+    page = device(page, outcome);
     page = draw(page, &["fig09-step"]);
     page = identification(page, outcome);
     page = draw(page, &["fig07-frequency-response", "fig08-uncertainty"]);
@@ -429,6 +429,57 @@ fn pulse(page: ReportPage, outcome: &Outcome) -> ReportPage {
             link.sha256
         ))
         .table(table)
+}
+
+fn device(page: ReportPage, outcome: &Outcome) -> ReportPage {
+    let page = page.section("Device").paragraph(
+        "The virtual device is derived from the corrected model; identification sees its sensor and its drive only.",
+    );
+    let Some(device) = &outcome.device else { return page };
+    let stated = match (device.stated_error_step_percent, device.stated_error_reference_percent) {
+        (Some(step), Some(reference)) => {
+            format!("{step:.4} % of stroke over a step to full scale, {reference:.4} % over (25)")
+        }
+        _ => "not measured".to_owned(),
+    };
+    let moved = match device.fidelity {
+        Fidelity::Reduced => "reduced twin, built from the field-level model",
+        Fidelity::Field => "field-level model: every node of the membrane with its branches",
+    };
+    let sensor = match (device.sensing_error_max_mm, device.sensing_standard_deviation_max_mm) {
+        (Some(error), Some(spread)) => format!(
+            "{}: readings within {error:.4} mm of the true mean over their window, stated standard deviation up to {spread:.4} mm",
+            device.sensor.word()
+        ),
+        _ => device.sensor.word().to_owned(),
+    };
+    let voltage = format!(
+        "{:.0} V, {}; allowed up to {:.0} V ({} at {:.0} V{})",
+        device.max_v,
+        if device.max_v_derived { "from the failure envelope" } else { "stated" },
+        device.envelope_max_v,
+        device.envelope_limited_by,
+        device.envelope_first_failure_v,
+        if device.envelope_unverified {
+            "; holds limits that are not verified against their source"
+        } else {
+            ""
+        }
+    );
+    let slew = device.slew_v_per_s.map_or_else(|| "not limited".to_owned(), |slew| format!("{slew:.0} V/s"));
+    let rows = [
+        ("parameter set", format!("{:?}", device.parameter_set)),
+        ("fidelity", moved.to_owned()),
+        ("error of the reduced twin against the field-level model", stated),
+        ("sensor of displacement runs", sensor),
+        ("highest voltage", voltage),
+        ("slew", slew),
+    ];
+    let table =
+        rows.iter().fold(Table::new("Device and limits", ["what", "value"]), |table, (name, value)| {
+            table.row([Cell::text(*name), Cell::text(value)])
+        });
+    page.table(table)
 }
 
 fn closing(page: ReportPage, outcome: &Outcome) -> ReportPage {

@@ -41,7 +41,7 @@ pub fn open_loop(
         trim: 0.0,
         linearisation,
         full_scale_v: study.control.full_scale_v,
-        limits: Limits::new(study.control.min_v, study.control.max_v, f64::INFINITY)?,
+        limits: Limits::new(study.control.min_v, study.control.max_v, study.control.slew_v_per_s)?,
         anti_windup: AntiWindup::None,
     })?)
 }
@@ -87,6 +87,8 @@ pub fn from_recipe(
         study.control.min_v,
         study.control.max_v
     );
+    // The slower of the two: a recipe may be gentler than the study, not harsher.
+    let slew_v_per_s = limits.slew_v_per_s.unwrap_or(f64::INFINITY).min(study.control.slew_v_per_s);
     let filter =
         settings.measurement_filter_rad_s.map(|corner| LowPass::new(corner, sample_time_s)).transpose()?;
     let hold = settings.anti_windup == recipe::AntiWindup::HoldOutward;
@@ -104,7 +106,7 @@ pub fn from_recipe(
         trim: settings.operating_point.bias_unit,
         linearisation: linearisation(settings.input_linearisation),
         full_scale_v: settings.operating_point.full_scale_v,
-        limits: Limits::new(limits.min_v, limits.max_v, limits.slew_v_per_s.unwrap_or(f64::INFINITY))?,
+        limits: Limits::new(limits.min_v, limits.max_v, slew_v_per_s)?,
         anti_windup: if hold { AntiWindup::HoldOutward } else { AntiWindup::None },
     })?)
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
+use telepulse_actuator::rig::SensingRecord;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::Controlled;
 use telepulse_design::implement::ControllerRecipe;
@@ -136,6 +137,8 @@ pub struct Followed {
     pub mean_abs_error_mm: Option<f64>,
     /// Largest absolute error; absent where unstable.
     pub max_abs_error_mm: Option<f64>,
+    /// How far the readings of self-sensing were from the truth, where it was used.
+    pub sensing: Option<SensingRecord>,
 }
 
 /// Follows a reference in mm from rest, given at the control rate, with weight and laser.
@@ -149,10 +152,10 @@ pub fn follow(
     title: &str,
     reference_mm: Vec<f64>,
 ) -> Result<Followed> {
-    let mut rig = device::displacement(study, twin, Conditions::default())?;
+    let mut rig = device::sensed(study, twin, Conditions::default())?;
     let plan = Lead::of(study).plan(study, recipe, reference_mm)?;
     let mut control =
-        control::from_recipe(study, recipe, Controlled::Displacement, device::displacement_scale())?;
+        control::from_recipe(study, recipe, Controlled::Displacement, device::sensed_scale(study))?;
     let record = run(&mut rig, &mut control, &plan)?;
     let lead = Lead::of(study).ticks;
     let drive = judge::DriveRange::of(study);
@@ -166,6 +169,7 @@ pub fn follow(
         trace,
         mean_abs_error_mm: tracking.mean_abs_error_mm,
         max_abs_error_mm: tracking.max_abs_error_mm,
+        sensing: record.sensing,
     })
 }
 

@@ -2,6 +2,7 @@
 
 use anyhow::{Result, anyhow};
 use serde::Serialize;
+use telepulse_actuator::rig::SensingRecord;
 use telepulse_rt::{
     ControlLoop, CycleInputs, CycleOutput, Drive, MonotonicNs, Sensor, Supervisor, SupervisorSettings,
     TripReason,
@@ -13,6 +14,10 @@ pub trait Truth {
     fn true_output(&self) -> f64;
     /// Power drawn from the supply, in W; a negative current counts as zero.
     fn supply_power_w(&self) -> f64;
+    /// Why the device moves no further or tells nothing, where that happened.
+    fn fault(&self) -> Option<String>;
+    /// How far the readings of self-sensing were from the truth, where the rig has it.
+    fn sensing(&self) -> Option<SensingRecord>;
 }
 
 /// What a run is to follow, tick by tick.
@@ -57,6 +62,9 @@ pub struct RunRecord {
     pub power_w: Vec<f64>,
     /// Why the supervisor ended the run, if it did.
     pub trip: Option<String>,
+    /// How far the readings of self-sensing were from the truth, where it was used.
+    #[serde(skip)]
+    pub sensing: Option<SensingRecord>,
 }
 
 impl RunRecord {
@@ -151,7 +159,11 @@ pub fn run<R: Sensor + Drive + Truth>(
         record.voltage_v.push(output.voltage_v);
         record.power_w.push(rig.supply_power_w());
     })?;
-    record.trip = trip.map(|reason| reason.to_string());
+    record.trip = trip.map(|reason| match rig.fault() {
+        Some(fault) => format!("{reason}: {fault}"),
+        None => reason.to_string(),
+    });
+    record.sensing = rig.sensing();
     Ok(record)
 }
 

@@ -3,11 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use telepulse_actuator::ParameterSet;
+use telepulse_actuator::twin::Fidelity;
 use telepulse_design::implement::PidSettings;
 use telepulse_lti::TransferFunction;
 use toml::de::{DeTable, DeValue};
+
+use crate::station::device;
 
 /// A study as typed in `study.toml`. Units are in the names; unknown keys are refused.
 #[derive(Debug, Clone, Deserialize)]
@@ -55,6 +58,34 @@ pub struct Actuator {
     pub parameter_set: ParameterSet,
     /// Seed of the sensor noise.
     pub seed: u64,
+    /// Which model of the device moves: the reduced twin unless given.
+    #[serde(default)]
+    pub fidelity: Fidelity,
+    /// What reads the plate in displacement runs: the laser unless given. Sweeps are read by the laser in any case.
+    #[serde(default)]
+    pub sensor: SensorChoice,
+}
+
+/// What reads the plate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SensorChoice {
+    /// A laser above it.
+    #[default]
+    Laser,
+    /// Its own capacitance, by a carrier on the drive.
+    Capacitance,
+}
+
+impl SensorChoice {
+    /// The word in files.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Laser => "laser",
+            Self::Capacitance => "capacitance",
+        }
+    }
 }
 
 /// `[identify]`.
@@ -147,8 +178,21 @@ pub struct Control {
     pub filter_hz: f64,
     /// Lowest voltage.
     pub min_v: f64,
+    /// Highest voltage that may be commanded, as typed; where it is not, it follows from the failure envelope.
+    #[serde(rename = "max_v", default)]
+    pub stated_max_v: Option<f64>,
+    /// Fastest change of the command, V/s, as typed; where it is not, it follows from `current_a`, if that is given.
+    #[serde(rename = "slew_v_per_s", default)]
+    pub stated_slew_v_per_s: Option<f64>,
+    /// Largest current of the amplifier.
+    #[serde(default)]
+    pub current_a: Option<f64>,
     /// Highest voltage that may be commanded.
+    #[serde(skip)]
     pub max_v: f64,
+    /// Fastest change of the command, V/s; infinite where nothing limits it.
+    #[serde(skip)]
+    pub slew_v_per_s: f64,
     /// Voltage of one unit: what the printed controllers, the sweep and the effort index are normalised by. Not a limit.
     pub full_scale_v: f64,
 }
@@ -282,6 +326,7 @@ impl Study {
             Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
             _ => PathBuf::from("."),
         };
+        study.derive_limits().with_context(|| format!("in {}", file.display()))?;
         study.check().with_context(|| format!("in {}", file.display()))?;
         study.file = file;
         Ok(study)
@@ -309,6 +354,39 @@ impl Study {
     #[must_use]
     pub fn sample_time_s(&self) -> f64 {
         1.0 / self.control.sample_rate_hz
+    }
+
+    /// Takes the limits as typed, and those that are not from the failure envelope of the device.
+    fn derive_limits(&mut self) -> Result<()> {
+        let control = &mut self.control;
+        for (key, found) in [
+            ("control.max_v", control.stated_max_v),
+            ("control.slew_v_per_s", control.stated_slew_v_per_s),
+            ("control.current_a", control.current_a),
+        ] {
+            if let Some(found) = found {
+                ensure!(
+                    found.is_finite() && found > 0.0,
+                    "key `{key}`: found {found}, allowed finite and above 0"
+                );
+            }
+        }
+        let follows = control.stated_max_v.is_none()
+            || (control.stated_slew_v_per_s.is_none() && control.current_a.is_some());
+        let limits = if follows {
+            Some(device::envelope_limits(self.actuator.parameter_set, control.current_a)?)
+        } else {
+            None
+        };
+        control.max_v = match (control.stated_max_v, &limits) {
+            (Some(stated), _) => stated,
+            // Whole volts, downwards: nobody types more.
+            (None, Some(limits)) => limits.max_v.floor(),
+            (None, None) => unreachable!("limits follow where none is stated"),
+        };
+        let derived = limits.and_then(|limits| limits.slew_v_per_s);
+        control.slew_v_per_s = control.stated_slew_v_per_s.or(derived).unwrap_or(f64::INFINITY);
+        Ok(())
     }
 
     fn check(&self) -> Result<()> {

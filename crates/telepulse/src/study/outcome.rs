@@ -3,6 +3,10 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use telepulse_actuator::ParameterSet;
+use telepulse_actuator::twin::Fidelity;
+
+use super::config::SensorChoice;
 
 /// Everything a study found. The keys are read by others: add, never rename.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -19,6 +23,9 @@ pub struct Outcome {
     pub inputs: BTreeMap<String, String>,
     /// Seed of the sensor noise.
     pub seed: u64,
+    /// The virtual device, and what its supervisor allows; absent in reports of earlier versions.
+    #[serde(default)]
+    pub device: Option<Device>,
     /// The identified model, voltage as input.
     pub identified: Identified,
     /// The same by magnitudes only, as the paper did.
@@ -64,6 +71,43 @@ impl Outcome {
         let unstable = self.bias_sweep.iter().filter(|point| point.controller == controller && !point.stable);
         unstable.map(|point| point.bias).min_by(f64::total_cmp)
     }
+}
+
+/// The virtual device of a study.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Device {
+    /// `A`, `B` or `C`.
+    pub parameter_set: ParameterSet,
+    /// Which model of it moved.
+    pub fidelity: Fidelity,
+    /// What read the plate in displacement runs.
+    pub sensor: SensorChoice,
+    /// Largest difference of the reduced twin to the field-level model, over a step to full scale.
+    pub stated_error_step_mm: Option<f64>,
+    /// The same in percent of its stroke.
+    pub stated_error_step_percent: Option<f64>,
+    /// Largest difference over the paper's (25).
+    pub stated_error_reference_mm: Option<f64>,
+    /// The same in percent of its stroke.
+    pub stated_error_reference_percent: Option<f64>,
+    /// Largest difference between a reading of self-sensing and the true mean over its window, in stable runs.
+    pub sensing_error_max_mm: Option<f64>,
+    /// Largest standard deviation that was stated with such a reading.
+    pub sensing_standard_deviation_max_mm: Option<f64>,
+    /// Highest voltage that could be commanded.
+    pub max_v: f64,
+    /// True where it was derived from the failure envelope, false where the study states it.
+    pub max_v_derived: bool,
+    /// Highest that the failure envelope and the amplifier allow, with their safety factors.
+    pub envelope_max_v: f64,
+    /// What sets in first above it.
+    pub envelope_limited_by: String,
+    /// Where that sets in.
+    pub envelope_first_failure_v: f64,
+    /// True where a limit has not been checked against its source.
+    pub envelope_unverified: bool,
+    /// Fastest change of the command; absent where nothing limits it.
+    pub slew_v_per_s: Option<f64>,
 }
 
 /// A third-order model and the bound of its error.

@@ -7,16 +7,16 @@ use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use telepulse_actuator::ParameterSet;
 use telepulse_actuator::rig::rig_assumptions;
-use telepulse_actuator::twin::TwinModel;
+use telepulse_actuator::twin::{Fidelity, TwinModel};
 use telepulse_design::identify::PlantModel;
 use telepulse_lti::{StateSpace, TransferFunction};
 
-use super::config::Study;
+use super::config::{SensorChoice, Study};
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
 use super::drawings;
 use super::models::{self, Models};
-use super::outcome::{Assumption, CertificateSummary, Outcome, Printed, StepOutcome, Tracking};
+use super::outcome::{Assumption, CertificateSummary, Device, Outcome, Printed, StepOutcome, Tracking};
 use super::recipes::{self, Recipes};
 use super::tracking::{self, CONDITIONS, LaserNoise, Step, Tracked};
 use super::transmission::{self, Transmitted};
@@ -184,6 +184,7 @@ fn assemble(
         title: study.title.clone(),
         inputs: inputs(study)?,
         seed: study.actuator.seed,
+        device: Some(described(study, twin, runs)?),
         identified: models.voltage.summary(),
         identified_magnitude_only: models.voltage.magnitude_only_summary()?,
         identified_square_root: models.square_root.summary(),
@@ -226,6 +227,37 @@ fn assemble(
     figures_drawn.extend(pulse_figures);
     figures_drawn.extend(drawings::replay_figures(transmitted));
     Ok((outcome, figures_drawn))
+}
+
+/// The device as it was used.
+fn described(study: &Study, twin: &TwinModel, runs: &Runs) -> Result<Device> {
+    let limits = device::envelope_limits(study.actuator.parameter_set, study.control.current_a)?;
+    let stated = twin.stated_error();
+    let sensing = || {
+        let stable = runs.table_1.iter().chain(&runs.laser_noise).filter(|run| !run.result.unstable);
+        stable.filter_map(|run| run.sensing)
+    };
+    let slew_v_per_s = study.control.slew_v_per_s;
+    Ok(Device {
+        parameter_set: study.actuator.parameter_set,
+        fidelity: study.actuator.fidelity,
+        sensor: study.actuator.sensor,
+        stated_error_step_mm: stated.map(|error| error.step.max_mm),
+        stated_error_step_percent: stated.map(|error| error.step.percent_of_stroke()),
+        stated_error_reference_mm: stated.map(|error| error.reference.max_mm),
+        stated_error_reference_percent: stated.map(|error| error.reference.percent_of_stroke()),
+        sensing_error_max_mm: sensing().map(|found| found.error_max_mm).reduce(f64::max),
+        sensing_standard_deviation_max_mm: sensing()
+            .map(|found| found.standard_deviation_max_mm)
+            .reduce(f64::max),
+        max_v: study.control.max_v,
+        max_v_derived: study.control.stated_max_v.is_none(),
+        envelope_max_v: limits.max_v,
+        envelope_limited_by: limits.limited_by.words().to_owned(),
+        envelope_first_failure_v: limits.first_failure_v,
+        envelope_unverified: limits.unverified,
+        slew_v_per_s: slew_v_per_s.is_finite().then_some(slew_v_per_s),
+    })
 }
 
 fn certificates(recipes: &Recipes) -> BTreeMap<String, CertificateSummary> {
@@ -359,7 +391,7 @@ fn assumptions(study: &Study, twin: &TwinModel) -> Vec<Assumption> {
             "the paper does not say whether its errors include the sensor's noise",
         ),
     ];
-    if let Some(error) = twin.stated_error() {
+    if let (Some(error), Fidelity::Reduced) = (twin.stated_error(), study.actuator.fidelity) {
         list.push(own(
             "reduced twin for the field-level model",
             format!(
@@ -368,6 +400,13 @@ fn assumptions(study: &Study, twin: &TwinModel) -> Vec<Assumption> {
                 error.reference.percent_of_stroke()
             ),
             "a control loop needs the twin thousands of times; its error was measured when it was built",
+        ));
+    }
+    if study.actuator.sensor == SensorChoice::Capacitance {
+        list.push(own(
+            "self-sensing in runs, laser in sweeps",
+            "its lag of half a window is in no identified model".into(),
+            "certificates hold for the laser; each run shows whether the loop bears the lag",
         ));
     }
     list.extend(rig_assumptions().iter().map(|a| own(a.name, format!("{} {}", a.value, a.unit), a.reason)));

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use rayon::prelude::*;
 use telepulse_actuator::ParameterSet;
+use telepulse_actuator::rig::SensingRecord;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::Controlled;
 use telepulse_design::implement::ControllerRecipe;
@@ -44,6 +45,8 @@ pub struct Tracked {
     pub result: Tracking,
     /// What a figure shows of it.
     pub trace: Trace,
+    /// How far the readings of self-sensing were from the truth, where it was used.
+    pub sensing: Option<SensingRecord>,
 }
 
 /// Runs every recipe in every condition of Table 1, on both cores; `done` is called after each run.
@@ -89,15 +92,15 @@ fn track(
         reference,
         watch: device::watch(study),
     };
-    let mut rig = device::displacement(study, twin, conditions)?;
+    let mut rig = device::sensed(study, twin, conditions)?;
     let mut control =
-        control::from_recipe(study, recipe, Controlled::Displacement, device::displacement_scale())?;
+        control::from_recipe(study, recipe, Controlled::Displacement, device::sensed_scale(study))?;
     let record = run(&mut rig, &mut control, &plan)?;
     let mut result = judge::tracking(&record, settle, &record.true_output, judge::DriveRange::of(study));
     result.provenance = recipe.provenance().to_string();
     let trace =
         Trace::thin(&record.reference, &record.true_output, &record.voltage_v, record.sample_time_s, settle);
-    Ok(Tracked { controller: name.to_owned(), condition, result, trace })
+    Ok(Tracked { controller: name.to_owned(), condition, result, trace, sensing: record.sensing })
 }
 
 /// A step of full scale from rest.
