@@ -4,8 +4,8 @@ use serde::Serialize;
 
 use super::breakdown::Site;
 use super::criteria::{FailureCriteria, Margin, Mechanism};
-use crate::Error;
 use crate::statics::{DEFAULT_DEGREE, Electrodes, Load, Sheet, SlackStates, StaticPoint, StaticSolver};
+use crate::{Error, MaxwellBranch};
 
 /// Where one sheet ends, by given criteria.
 ///
@@ -27,6 +27,7 @@ pub struct Envelope {
     pub(super) sheet: Sheet,
     pub(super) criteria: FailureCriteria,
     pub(super) solver: StaticSolver,
+    pub(super) branches: Vec<MaxwellBranch>,
 }
 
 /// A static state and its margins.
@@ -106,7 +107,15 @@ impl Envelope {
     /// # Errors
     /// Those of [`StaticSolver::new`].
     pub fn new(sheet: &Sheet, criteria: FailureCriteria) -> Result<Self, Error> {
-        Ok(Self { sheet: sheet.clone(), criteria, solver: StaticSolver::new(sheet)? })
+        Ok(Self { sheet: sheet.clone(), criteria, solver: StaticSolver::new(sheet)?, branches: Vec::new() })
+    }
+
+    /// This envelope for a membrane with Maxwell branches: [`Envelope::over_run`] adds what they carry. Static states are relaxed
+    /// and not concerned.
+    #[must_use]
+    pub fn with_branches(mut self, branches: &[MaxwellBranch]) -> Self {
+        self.branches = branches.to_vec();
+        self
     }
 
     /// The criteria.

@@ -3,6 +3,7 @@
 use telepulse_actuator::failure::{
     AmplifierLimits, BreakdownLaw, Envelope, FailureCriteria, Mechanism, RunSample, SafetyFactors,
 };
+use telepulse_actuator::field::FieldTwin;
 use telepulse_actuator::statics::{Electrodes, Load, StaticSolver, solve};
 use telepulse_actuator::twin::{Inputs, Twin, TwinModel};
 use telepulse_actuator::{Error, ParameterSet};
@@ -173,6 +174,50 @@ fn law_a_step_is_judged_at_its_overshoot_and_by_its_charging_current() {
     assert_eq!(found.first_failure_s, Some(1e-3));
     // 5 kV within one sample.
     assert_close(found.of(Mechanism::AmplifierSlew).expect("judged").margin.value, 5e6, 1e-12, 0.0, "slew");
+}
+
+#[test]
+fn law_run_margins_hold_what_the_branches_carry() {
+    let parameters = ParameterSet::A.parameters();
+    let weight = parameters.weight_n();
+    let mut twin = FieldTwin::new(&parameters, 24).expect("at rest");
+    let rest_m = twin.point().displacement_m;
+    let mut samples = vec![RunSample { time_s: 0.0, displacement_m: rest_m, voltage_v: 0.0, drive_v: 0.0 }];
+    let tension = |twin: &FieldTwin| {
+        let point = twin.point();
+        point.s1_min_pa.min(point.s2_min_pa)
+    };
+    let mut least = tension(&twin);
+    // Up for a second, so that the branches follow, and down at once: they then pull against the membrane.
+    for k in 0..300 {
+        let drive_v = if k < 250 { 5000.0 } else { 0.0 };
+        twin.step(4e-3, drive_v).expect("borne");
+        least = least.min(tension(&twin));
+        samples.push(RunSample {
+            time_s: f64::from(k + 1) * 4e-3,
+            displacement_m: rest_m + 1e-3 * twin.displacement_mm(),
+            voltage_v: twin.membrane_voltage_v(),
+            drive_v,
+        });
+    }
+    let relaxed = envelope(ParameterSet::A, FailureCriteria::default());
+    let mut viscous = relaxed.clone().with_branches(&parameters.spec().branches);
+    let found = |mut envelope: Envelope| {
+        let margins = envelope.over_run(weight, &samples).expect("judged");
+        assert_eq!(margins.ended, None);
+        margins.of(Mechanism::LossOfTension).expect("judged").margin.value
+    };
+    let (without, with) = (found(relaxed), found(viscous.clone()));
+    let carried = (least - without).abs();
+    assert!(carried > 100.0, "the branches carry {carried} Pa of {least}");
+    // The shape at a displacement is the relaxed membrane's, while the branches even it out: a third of what they carry.
+    assert_close(with, least, 0.0, 0.4 * carried, &format!("smallest stress; {without} Pa without branches"));
+    // A sample beyond pull-in ends the judgement.
+    let last = samples.last().expect("samples");
+    let beyond = RunSample { time_s: last.time_s + 1.0, voltage_v: 2e4, drive_v: 2e4, ..*last };
+    let ended = viscous.over_run(weight, &[samples[0], *last, beyond]).expect("judged");
+    assert_eq!(ended.first_failure_s, Some(beyond.time_s));
+    assert!(!ended.ended.expect("no state").reason.is_empty());
 }
 
 #[test]
