@@ -40,7 +40,6 @@ struct Answer {
     mean_abs_error_mm: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     max_abs_error_mm: Option<f64>,
-    provenance: String,
     /// Which model of the device moved.
     fidelity: Fidelity,
     /// What read the plate.
@@ -77,7 +76,6 @@ pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
         pulse: result,
         mean_abs_error_mm,
         max_abs_error_mm,
-        provenance: recipe.provenance().to_string(),
         fidelity: study.actuator.fidelity,
         sensor: study.actuator.sensor,
         sensing_error_max_mm: sensing.map(|sensing| sensing.error_max_mm),
@@ -91,7 +89,7 @@ pub(super) fn run(typed: &TrackArguments, json: bool) -> Result<Verdict> {
                 }
                 _ => format!("UNSTABLE: {}", answered.pulse.unstable_reason.clone().unwrap_or_default()),
             },
-            answered.provenance.clone(),
+            answered.pulse.provenance.clone(),
         ]
     })?;
     Ok(if unstable { Verdict::CheckFailed } else { Verdict::Done })

@@ -9,6 +9,7 @@ use telepulse_actuator::rig::{
     CapacitiveReading, DisplacementRig, ForceRig, ForceStep, Laser, RigConditions, SensingRecord, SensingSine,
 };
 use telepulse_actuator::twin::TwinModel;
+use telepulse_design::implement::ControllerRecipe;
 use telepulse_pulse::calibration::Plate;
 use telepulse_rt::{MonotonicNs, Sensor, SensorScale};
 
@@ -57,13 +58,15 @@ pub fn envelope_limits(set: ParameterSet, current_a: Option<f64>) -> Result<Supe
 /// Refuses a study whose voltage or slew lies above what its membrane and amplifier bear with the usual safety factors.
 fn require_within_envelope(study: &Study) -> Result<()> {
     let control = &study.control;
+    let within = || study.file.display().to_string();
     let limits = envelope_limits(study.actuator.parameter_set, control.current_a)?;
-    require_voltage(control.max_v, &limits)?;
+    require_voltage(control.max_v, &limits).with_context(|| format!("in {}", within()))?;
     if let (Some(slew), Some(_)) = (limits.slew_v_per_s, control.current_a) {
         ensure!(
             control.slew_v_per_s <= slew,
-            "key `control.slew_v_per_s`: found {} V/s, allowed is up to {slew:.0} V/s: faster, charging the membrane takes more \
+            "in {}: key `control.slew_v_per_s`: found {} V/s, allowed is up to {slew:.0} V/s: faster, charging the membrane takes more \
              than the amplifier's current with its safety factor",
+            within(),
             control.slew_v_per_s
         );
     }
@@ -158,6 +161,18 @@ pub fn force(study: &Study, twin: &TwinModel) -> Result<ForceRig> {
 #[must_use]
 pub fn displacement_scale() -> SensorScale {
     SensorScale { gain: 1.0, offset: -Laser::default().standoff_mm }
+}
+
+/// The right by which a recipe runs on the study's sensor in displacement mode: its own, and what that does not cover.
+#[must_use]
+pub fn provenance(study: &Study, recipe: &ControllerRecipe) -> String {
+    let own = recipe.provenance();
+    match study.actuator.sensor {
+        SensorChoice::Laser => own.to_string(),
+        SensorChoice::Capacitance => {
+            format!("{own}; with a laser: the lag of self-sensing is in no certificate")
+        }
+    }
 }
 
 /// From the reading of the study's sensor to the displacement from rest, in mm.

@@ -161,6 +161,7 @@ pub fn follow(
     let drive = judge::DriveRange::of(study);
     let result =
         stamped(study, recipe, judge::replay(title, &record, lead, &record.true_output, 1.0, drive)?);
+    let result = PulseReplay { provenance: device::provenance(study, recipe), ..result };
     let tracking = judge::tracking(&record, lead, &record.true_output, drive);
     let trace =
         Trace::thin(&record.reference, &record.true_output, &record.voltage_v, record.sample_time_s, lead);

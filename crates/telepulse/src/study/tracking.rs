@@ -97,7 +97,7 @@ fn track(
         control::from_recipe(study, recipe, Controlled::Displacement, device::sensed_scale(study))?;
     let record = run(&mut rig, &mut control, &plan)?;
     let mut result = judge::tracking(&record, settle, &record.true_output, judge::DriveRange::of(study));
-    result.provenance = recipe.provenance().to_string();
+    result.provenance = device::provenance(study, recipe);
     let trace =
         Trace::thin(&record.reference, &record.true_output, &record.voltage_v, record.sample_time_s, settle);
     Ok(Tracked { controller: name.to_owned(), condition, result, trace, sensing: record.sensing })

@@ -7,5 +7,6 @@ mod membrane_calibrate;
 mod membrane_motion;
 mod membrane_optimize;
 mod membrane_program;
+mod membrane_refusals;
 mod solve;
 mod study;

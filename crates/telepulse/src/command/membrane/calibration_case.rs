@@ -10,6 +10,7 @@ use telepulse_actuator::calibration::{
 };
 use telepulse_actuator::{ActuatorParameters, ParameterSet};
 
+use super::case::{number, read_fields};
 use crate::artefact;
 
 /// A checked case.
@@ -25,7 +26,7 @@ pub(super) struct CalibrationCase {
 impl CalibrationCase {
     /// Reads a file, or standard input where the path is `-`. Files of records are sought beside it.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let (fields, name) = read_object(path)?;
+        let (fields, name) = read_fields(path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         Self::from_fields(&fields, folder, &name).map_err(|error| anyhow!("in {name}: {error:#}"))
     }
@@ -50,33 +51,11 @@ impl CalibrationCase {
     }
 }
 
-/// The object in a JSON file, or on standard input where the path is `-`, and its name for messages.
-pub(super) fn read_object(path: &Path) -> Result<(Map<String, Value>, String)> {
-    let (text, name) = if path.as_os_str() == "-" {
-        let text = std::io::read_to_string(std::io::stdin()).context("cannot read standard input")?;
-        (text, "standard input".to_owned())
-    } else {
-        (artefact::read_text(path)?, path.display().to_string())
-    };
-    match serde_json::from_str(&text).map_err(|error| anyhow!("in {name}: {error}"))? {
-        Value::Object(fields) => Ok((fields, name)),
-        other => bail!("in {name}: expected an object with the keys of a case, found {other}"),
-    }
-}
-
 /// Refuses keys that mean nothing.
 pub(super) fn only_known(fields: &Map<String, Value>, known: &[&str]) -> Result<()> {
     match fields.keys().find(|key| !known.contains(&key.as_str())) {
         Some(key) => bail!("key `{key}` has no meaning here, expected one of {}", known.join(", ")),
         None => Ok(()),
-    }
-}
-
-/// A number that must be there.
-pub(super) fn number(fields: &Map<String, Value>, key: &str) -> Result<f64> {
-    match fields.get(key) {
-        None | Some(Value::Null) => Err(anyhow!("key `{key}` is missing, expected a number")),
-        Some(value) => value.as_f64().ok_or_else(|| anyhow!("key `{key}`: expected a number, found {value}")),
     }
 }
 

@@ -5,6 +5,8 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use serde::de::{Error as _, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 use telepulse_actuator::Error;
 use telepulse_actuator::failure::{FailureCriteria, Margin, Mechanism};
@@ -80,7 +82,9 @@ impl Case {
         };
         let sheet = Sheet::new(spec).map_err(|error| match error {
             // The chain limit is the one check that involves two keys.
-            Error::GentLimit { .. } => anyhow!("key `prestretch`, found {prestretch_inner}: {error}"),
+            Error::GentLimit { .. } => {
+                anyhow!("key `prestretch`, found {prestretch_inner}: {}", said(&error))
+            }
             error => anyhow!(error),
         })?;
         let load = match (present(fields, "force_n"), present(fields, "displacement_m")) {
@@ -134,6 +138,11 @@ impl Case {
         bail!("in {}: {key}: {}", self.name, judged::failed(worst))
     }
 
+    fn is_slack_when_flat(&self) -> bool {
+        let spec = self.sheet.spec();
+        spec.prestretch_inner.min(spec.prestretch_outer) < 1.0
+    }
+
     /// Adds to a refusal which key of the case it is about.
     pub(super) fn explain(&self, error: Error) -> anyhow::Error {
         let load = self.load_key();
@@ -145,9 +154,14 @@ impl Case {
             Error::BeyondLimitPoint { reached_voltage_v, .. } if *reached_voltage_v == 0.0 => {
                 format!("{load}: ")
             }
+            Error::NotConverged { .. } | Error::Slack { .. } if self.is_slack_when_flat() => {
+                let spec = self.sheet.spec();
+                let least = spec.prestretch_inner.min(spec.prestretch_outer);
+                format!("key `prestretch`, found {least}, slack before it is loaded: ")
+            }
             _ => format!("{}: ", electric.unwrap_or(load)),
         };
-        anyhow!("in {}: {key}{error}", self.name)
+        anyhow!("in {}: {key}{}", self.name, said(&error))
     }
 }
 
@@ -160,9 +174,68 @@ pub(super) fn read_fields(path: &Path) -> Result<(Map<String, Value>, String)> {
     } else {
         (artefact::read_text(path)?, path.display().to_string())
     };
-    match serde_json::from_str(&text).map_err(|error| anyhow!("in {name}: {error}"))? {
-        Value::Object(fields) => Ok((fields, name)),
+    match serde_json::from_str(&text).map_err(|error| anyhow!("in {name}: {}", unreadable(&text, &error)))? {
+        Value::Object(_) => {}
         value => bail!("in {name}: expected an object with the keys of a case, found {value}"),
+    }
+    // Read once more: a map keeps the last of two equal keys and tells nobody.
+    let Fields(fields) = serde_json::from_str(&text).map_err(|error| anyhow!("in {name}: {error}"))?;
+    Ok((fields, name))
+}
+
+/// Why a text is no JSON; a value that is no number, which JSON does not know, with its key.
+fn unreadable(text: &str, error: &serde_json::Error) -> String {
+    let line_start: usize =
+        text.split_inclusive('\n').take(error.line().saturating_sub(1)).map(str::len).sum();
+    let at = line_start + error.column().saturating_sub(1);
+    let rest = text.get(at..).unwrap_or_default().trim_start_matches('-');
+    // The parser stops inside of the word, or before it.
+    let word = ["NaN", "nan", "Infinity", "inf"].into_iter().find(|word| {
+        rest.starts_with(word)
+            || text
+                .get(..at)
+                .is_some_and(|before| before.ends_with(&word[..1]) && rest.starts_with(&word[1..]))
+    });
+    let key =
+        text.get(..at).and_then(|before| before.rsplit_once("\":")?.0.rsplit_once('"').map(|(_, key)| key));
+    match (word, key) {
+        (Some(word), Some(key)) => {
+            format!(
+                "key `{key}`: found {word}, must be a number (line {}): {word} measures nothing",
+                error.line()
+            )
+        }
+        _ => error.to_string(),
+    }
+}
+
+/// The keys of a case, each once.
+struct Fields(Map<String, Value>);
+
+impl<'de> Deserialize<'de> for Fields {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        source.deserialize_map(FieldsVisitor)
+    }
+}
+
+struct FieldsVisitor;
+
+impl<'de> Visitor<'de> for FieldsVisitor {
+    type Value = Fields;
+
+    fn expecting(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        to.write_str("an object with the keys of a case")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Fields, A::Error> {
+        let mut fields = Map::new();
+        while let Some((key, value)) = entries.next_entry::<String, Value>()? {
+            if fields.contains_key(&key) {
+                return Err(A::Error::custom(format!("key `{key}` stands twice, give it once")));
+            }
+            fields.insert(key, value);
+        }
+        Ok(Fields(fields))
     }
 }
 
@@ -170,11 +243,37 @@ pub(super) fn present(fields: &Map<String, Value>, key: &str) -> bool {
     fields.get(key).is_some_and(|value| !value.is_null())
 }
 
+/// A number that must be there, of a size that some device could have.
 pub(super) fn number(fields: &Map<String, Value>, key: &str) -> Result<f64> {
-    match fields.get(key) {
-        None | Some(Value::Null) => Err(anyhow!("key `{key}` is missing, expected a number")),
-        Some(value) => value.as_f64().ok_or_else(|| anyhow!("key `{key}`: expected a number, found {value}")),
+    let found = match fields.get(key) {
+        None | Some(Value::Null) => bail!("key `{key}` is missing, expected a number"),
+        Some(value) => {
+            value.as_f64().ok_or_else(|| anyhow!("key `{key}`: expected a number, found {value}"))?
+        }
+    };
+    ensure!(
+        found == 0.0 || (SMALLEST..=LARGEST).contains(&found.abs()),
+        "key `{key}`: found {found:e}, allowed 0 or a size of {SMALLEST:e} to {LARGEST:e}: no device has such numbers, and the \
+         equations lose theirs"
+    );
+    Ok(found)
+}
+
+/// Sizes of numbers in SI units, far beyond any device; a case may be in units of its own.
+const SMALLEST: f64 = 1e-30;
+const LARGEST: f64 = 1e30;
+/// A reason longer than this holds a number with hundreds of digits.
+const LONGEST_REASON: usize = 400;
+
+/// The reason of a refusal, without numbers that are none.
+pub(super) fn said(error: &Error) -> String {
+    let text = error.to_string();
+    let is_number = |word: &str| !word.contains("NaN") && word.trim_matches('-') != "inf";
+    if text.len() <= LONGEST_REASON && text.split(' ').all(is_number) {
+        return text;
     }
+    "no equilibrium can be computed: loads, stiffness and voltage lie too many orders of magnitude apart"
+        .to_owned()
 }
 
 fn not_negative(fields: &Map<String, Value>, key: &str) -> Result<f64> {

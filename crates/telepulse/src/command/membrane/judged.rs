@@ -158,6 +158,9 @@ pub(super) fn failed(margin: &Margin) -> String {
                 "rupture: the largest stretch of {value} exceeds the {limit} at which the material tears{basis}"
             )
         }
+        Mechanism::LossOfTension | Mechanism::PullIn => {
+            format!("{}: {value} {unit}, which ends at {limit} {unit}", margin.mechanism.words())
+        }
         mechanism => format!("{}: {value} {unit} exceeds the limit of {limit} {unit}", mechanism.words()),
     }
 }

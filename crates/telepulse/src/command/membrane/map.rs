@@ -10,7 +10,7 @@ use telepulse_actuator::failure::Envelope;
 use telepulse_actuator::statics::{Electrodes, Load, Solution, StaticSolver, solve};
 
 use super::super::{Verdict, answer, notify};
-use super::case::Case;
+use super::case::{Case, said};
 use super::figures;
 use super::judged::Grid;
 
@@ -105,7 +105,7 @@ fn grid(case: &Case, at: &Solution) -> Result<StaticMap> {
             let point = match point(&mut solver, displacement_m, voltage_v) {
                 Ok(values) => values.map(Some),
                 Err(error) => {
-                    map.refused.push(Refusal { displacement_m, voltage_v, reason: error.to_string() });
+                    map.refused.push(Refusal { displacement_m, voltage_v, reason: said(&error) });
                     [None; 7]
                 }
             };

@@ -4,12 +4,14 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use serde_json::{Map, Value};
+use telepulse_actuator::failure::FailureCriteria;
 use telepulse_actuator::statics::Material;
 use telepulse_actuator::twin::Fidelity;
 use telepulse_actuator::{ActuatorParameters, ActuatorSpec, Error, MaxwellBranch, ParameterSet};
 
-use super::case::{DESCRIPTIVE, material, number, present, read_fields};
+use super::case::{DESCRIPTIVE, material, number, present, read_fields, said};
 use super::drive::Drive;
+use super::judged;
 
 /// A checked case.
 #[derive(Debug, Clone)]
@@ -24,6 +26,10 @@ pub(super) struct MotionCase {
     /// Intervals from sample to sample in the answer.
     pub(super) sample_every: usize,
     pub(super) scatter: Option<Scatter>,
+    /// What the run is judged by.
+    pub(super) criteria: FailureCriteria,
+    /// Whether the case gives criteria of its own; then a run that fails by them is refused.
+    pub(super) gives_criteria: bool,
     /// Keys that mean nothing here.
     pub(super) unread: Vec<String>,
 }
@@ -54,8 +60,19 @@ const NUMBERS: [(&str, Place); 11] = [
 ];
 /// Scattered beside the numbers above.
 const MODULI: [&str; 3] = ["mu_pa", "branch_moduli_pa", "relaxation_times_s"];
-const OTHERS: [&str; 8] =
-    ["parameter_set", "material", "branches", "fidelity", "drive", "duration_s", "step_s", "sample_s"];
+const OTHERS: [&str; 11] = [
+    "parameter_set",
+    "material",
+    "branches",
+    "fidelity",
+    "drive",
+    "duration_s",
+    "step_s",
+    "sample_s",
+    "breakdown",
+    "rupture_stretch",
+    "amplifier",
+];
 /// Longest run, intervals.
 const INTERVALS_MAX: f64 = 1e7;
 /// Most samples in an answer.
@@ -103,6 +120,7 @@ impl MotionCase {
             "key `sample_s`: at most {SAMPLES_MAX} samples are given, found {sample_s}"
         );
         let scatter = scatter(fields)?;
+        let (criteria, gives_criteria) = judged::criteria(fields)?;
         ensure!(
             scatter.is_none() || fidelity == Fidelity::Reduced,
             "key `scatter`: batches run on the reduced twin, found `fidelity` \"field\""
@@ -122,6 +140,8 @@ impl MotionCase {
             n_intervals: n as usize,
             sample_every: every as usize,
             scatter,
+            criteria,
+            gives_criteria,
             unread: fields.keys().filter(|key| !known(key)).cloned().collect(),
         })
     }
@@ -137,10 +157,40 @@ pub(super) fn as_typed(error: Error) -> anyhow::Error {
     };
     match error {
         Error::Parameter { key, allowed, found } => {
+            let allowed = match allowed {
+                "smaller than outer_radius_m" => "smaller than b_m",
+                other => other,
+            };
             anyhow!(Error::Parameter { key: renamed(key), allowed, found })
         }
-        error => anyhow!(error),
+        error => anyhow!(said(&error)),
     }
+}
+
+/// Ranges in which a simulation keeps its digits and ends in bounded time.
+const RANGES: [(&str, f64, f64); 10] = [
+    ("a_m", 1e-6, 10.0),
+    ("b_m", 1e-6, 10.0),
+    ("thickness_m", 1e-7, 1.0),
+    ("prestretch", 0.0, 50.0),
+    ("relative_permittivity", 0.0, 1e6),
+    ("mass_kg", 1e-6, 1e6),
+    ("damping_n_s_per_m", 0.0, 1e6),
+    ("rc_s", 1e-7, 1e4),
+    ("full_scale_v", 1e-3, 1e7),
+    ("leak_resistance_ohm", 1.0, 1e20),
+];
+
+/// Refuses what would take endless steps; a number that is not positive has its own refusal.
+fn require_in_range(fields: &Map<String, Value>, key: &str, found: f64) -> Result<f64> {
+    let range = RANGES.iter().find(|(known, ..)| *known == key);
+    if let Some((_, min, max)) = range.filter(|_| present(fields, key) && found > 0.0) {
+        ensure!(
+            (*min..=*max).contains(&found),
+            "key `{key}`: found {found:e}, allowed {min:e} to {max:e}: beyond, steps become endless or digits are lost"
+        );
+    }
+    Ok(found)
 }
 
 /// The parameter set named, or none, with what the case says in its place.
@@ -159,7 +209,7 @@ fn spec(fields: &Map<String, Value>) -> Result<ActuatorSpec> {
     }
     for (key, place) in NUMBERS {
         if present(fields, key) || !(based || usual.contains(&key)) {
-            *place(&mut spec) = number(fields, key)?;
+            *place(&mut spec) = require_in_range(fields, key, number(fields, key)?)?;
         }
     }
     if !based || present(fields, "material") {
@@ -186,6 +236,12 @@ fn branches(found: &Value) -> Result<Vec<MaxwellBranch>> {
         .map(|row| match row.as_array().map(|pair| pair.iter().map(Value::as_f64).collect::<Vec<_>>()) {
             Some(pair) => match pair[..] {
                 [Some(modulus_pa), Some(relaxation_time_s)] => {
+                    // Faster than the plate can move by orders of magnitude is no branch but a stiffer network.
+                    ensure!(
+                        relaxation_time_s <= 0.0 || (1e-5..=1e12).contains(&relaxation_time_s),
+                        "key `branches`: relaxation time: found {relaxation_time_s:e}, allowed 1e-5 to 1e12 s: a faster branch \
+                         never acts, a slower one never yields"
+                    );
                     Ok(MaxwellBranch { modulus_pa, relaxation_time_s })
                 }
                 _ => Err(wrong(row)),

@@ -14,7 +14,8 @@ use telepulse_actuator::design_study::{
 use telepulse_actuator::{ActuatorParameters, Error};
 
 use super::super::{Verdict, answer, notify};
-use super::calibration_case::{actuator, number, only_known, read_object};
+use super::calibration_case::{actuator, only_known};
+use super::case::{number, read_fields, said};
 use super::pareto_figure::{Shown, pareto_figure};
 use crate::artefact;
 use crate::figure::svg;
@@ -79,7 +80,7 @@ struct Failed {
 type Outcome = (Variant, Result<Performance, Error>);
 
 pub(super) fn run(typed: &OptimizeArguments, json: bool) -> Result<Verdict> {
-    let (fields, name) = read_object(&typed.file)?;
+    let (fields, name) = read_fields(&typed.file)?;
     let case = StudyCase::from_fields(&fields).map_err(|error| anyhow!("in {name}: {error:#}"))?;
     let source_ohm =
         source_resistance_ohm(&case.base).map_err(|error| anyhow!("in {name}: key `base`: {error}"))?;
@@ -96,7 +97,7 @@ pub(super) fn run(typed: &OptimizeArguments, json: bool) -> Result<Verdict> {
     let failed: Vec<Failed> = outcomes
         .iter()
         .filter_map(|(variant, outcome)| {
-            let reason = outcome.as_ref().err()?.to_string();
+            let reason = said(outcome.as_ref().err()?);
             Some(Failed { variant: case.named(variant), reason })
         })
         .collect();

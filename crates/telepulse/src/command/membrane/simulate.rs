@@ -2,15 +2,18 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, ensure};
 use clap::Args;
 use rand::{Rng, SeedableRng};
 use serde::Serialize;
 use telepulse_actuator::batch::{self, BatchDrive, BatchRecord, VariantRun};
+use telepulse_actuator::failure::{Envelope, RunMargins, RunSample};
 use telepulse_actuator::field::FieldTwin;
+use telepulse_actuator::statics::{Electrodes, Load, StaticSolver};
 use telepulse_actuator::twin::{Fidelity, Inputs, Twin, TwinModel};
 
 use super::super::{Verdict, answer, notify};
+use super::judged::{self, StatedCriteria};
 use super::motion_case::{MotionCase, Scatter, as_typed, multiply};
 
 #[derive(Debug, Args)]
@@ -44,6 +47,10 @@ struct Single {
     motion: Motion,
     /// Largest difference to the field-level model, percent of the stroke, over a step to full scale and over the paper's (25).
     stated_error_percent: Option<Stated>,
+    /// What the margins are judged by.
+    criteria: StatedCriteria,
+    /// The smallest over the run, at up to 5000 of its instants.
+    margins: RunMargins,
     samples: Samples,
 }
 
@@ -117,13 +124,20 @@ pub(super) fn run(typed: &SimulateArguments, json: bool) -> Result<Verdict> {
 fn refused(case: &MotionCase, error: telepulse_actuator::Error) -> anyhow::Error {
     let spec = case.parameters.spec();
     let key = match error {
-        telepulse_actuator::Error::BeyondLimitPoint { reached_voltage_v: 0.0, .. } => {
-            format!("key `mass_kg`, found {}: ", spec.mass_kg)
-        }
         telepulse_actuator::Error::Parameter { .. } => String::new(),
+        // What is not borne without voltage is the load's fault, and so is a chain limit close to it.
+        telepulse_actuator::Error::GentLimit { .. } => format!("key `mass_kg`, found {}: ", spec.mass_kg),
+        _ if !bears_its_load(case) => format!("key `mass_kg`, found {}: ", spec.mass_kg),
         _ => format!("key `full_scale_v`, found {}: ", spec.full_scale_v),
     };
     anyhow!("in {}: {key}{:#}", case.name, as_typed(error))
+}
+
+fn bears_its_load(case: &MotionCase) -> bool {
+    let solved = case.parameters.sheet().and_then(|sheet| {
+        StaticSolver::new(&sheet)?.solve(Load::ForceN(case.parameters.weight_n()), Electrodes::VoltageV(0.0))
+    });
+    solved.is_ok()
 }
 
 fn reduced(case: &MotionCase, voltages: &[f64]) -> Result<Single> {
@@ -132,13 +146,13 @@ fn reduced(case: &MotionCase, voltages: &[f64]) -> Result<Single> {
     let mut log = Log::new(case, model.rest_sag_m());
     for &drive_v in voltages {
         twin.advance(case.interval_s, Inputs { drive_v, disturbance_n: 0.0 });
-        log.add(drive_v, twin.displacement_mm());
+        log.add(drive_v, twin.membrane_voltage_v(), twin.displacement_mm());
     }
     let stated = model.stated_error().map(|error| Stated {
         full_scale_step: error.step.percent_of_stroke(),
         reference_25: error.reference.percent_of_stroke(),
     });
-    Ok(log.finish(twin.has_left_map(), stated))
+    log.finish(twin.has_left_map(), stated)
 }
 
 fn field(case: &MotionCase, voltages: &[f64]) -> Result<Single> {
@@ -150,9 +164,9 @@ fn field(case: &MotionCase, voltages: &[f64]) -> Result<Single> {
     let mut log = Log::new(case, rest.displacement_m());
     for &drive_v in voltages {
         twin.step(case.interval_s, drive_v).map_err(refused)?;
-        log.add(drive_v, twin.displacement_mm());
+        log.add(drive_v, twin.membrane_voltage_v(), twin.displacement_mm());
     }
-    Ok(log.finish(false, None))
+    log.finish(false, None)
 }
 
 /// Statistics and samples of one run.
@@ -161,7 +175,13 @@ struct Log<'a> {
     motion: Motion,
     n: usize,
     samples: Samples,
+    /// Instants at which the margins are judged, so many intervals apart.
+    judged: Vec<RunSample>,
+    judged_every: usize,
 }
+
+/// Most instants at which margins are judged: each is a membrane solve of some 20 us.
+const JUDGED_MAX: usize = 5000;
 
 impl<'a> Log<'a> {
     fn new(case: &'a MotionCase, rest_sag_m: f64) -> Self {
@@ -175,10 +195,13 @@ impl<'a> Log<'a> {
             displacement_end_m: 0.0,
             left_map: false,
         };
-        Self { case, motion, n: 0, samples: Samples::default() }
+        // The run starts at rest without voltage.
+        let start = RunSample { time_s: 0.0, displacement_m: rest_sag_m, voltage_v: 0.0, drive_v: 0.0 };
+        let judged_every = case.n_intervals.div_ceil(JUDGED_MAX).max(1);
+        Self { case, motion, n: 0, samples: Samples::default(), judged: vec![start], judged_every }
     }
 
-    fn add(&mut self, drive_v: f64, at_mm: f64) {
+    fn add(&mut self, drive_v: f64, membrane_v: f64, at_mm: f64) {
         self.n += 1;
         let (at_m, time_s) = (1e-3 * at_mm, self.n as f64 * self.case.interval_s);
         let motion = &mut self.motion;
@@ -189,6 +212,10 @@ impl<'a> Log<'a> {
         motion.displacement_mean_m += at_m;
         motion.displacement_rms_m += at_m * at_m;
         motion.displacement_end_m = at_m;
+        if self.n.is_multiple_of(self.judged_every) {
+            let displacement_m = motion.rest_sag_m + at_m;
+            self.judged.push(RunSample { time_s, displacement_m, voltage_v: membrane_v, drive_v });
+        }
         if self.n.is_multiple_of(self.case.sample_every) {
             self.samples.time_s.push(time_s);
             self.samples.voltage_v.push(drive_v);
@@ -196,12 +223,46 @@ impl<'a> Log<'a> {
         }
     }
 
-    fn finish(mut self, left_map: bool, stated: Option<Stated>) -> Single {
+    fn finish(mut self, left_map: bool, stated: Option<Stated>) -> Result<Single> {
+        let margins = self.margins()?;
         let n = self.n.max(1) as f64;
         self.motion.displacement_mean_m /= n;
         self.motion.displacement_rms_m = (self.motion.displacement_rms_m / n).sqrt();
         self.motion.left_map = left_map;
-        Single { motion: self.motion, stated_error_percent: stated, samples: self.samples }
+        Ok(Single {
+            motion: self.motion,
+            stated_error_percent: stated,
+            criteria: StatedCriteria::of(&self.case.criteria),
+            margins,
+            samples: self.samples,
+        })
+    }
+
+    /// The smallest margins; a run that fails is told, and refused where the case has named what it fails by.
+    fn margins(&self) -> Result<RunMargins> {
+        let case = self.case;
+        let refused = |error| refused(case, error);
+        let sheet = case.parameters.sheet().map_err(refused)?;
+        let found = Envelope::new(&sheet, case.criteria)
+            .map_err(refused)?
+            .with_branches(&case.parameters.spec().branches)
+            .over_run(case.parameters.weight_n(), &self.judged)
+            .map_err(refused)?;
+        let Some(time_s) = found.first_failure_s else { return Ok(found) };
+        let worst =
+            found.worst.iter().filter(|w| w.margin.left <= 0.0).min_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        let reason = match (worst, &found.ended) {
+            (Some(worst), _) => judged::failed(&worst.margin),
+            (None, Some(ended)) => ended.reason.clone(),
+            (None, None) => "a margin is used up".to_owned(),
+        };
+        ensure!(
+            !case.gives_criteria,
+            "in {}: key `drive`: from {time_s} s on the membrane has failed: {reason}",
+            case.name
+        );
+        notify(&format!("telepulse: from {time_s} s on the membrane has failed: {reason}"));
+        Ok(found)
     }
 }
 
@@ -265,6 +326,19 @@ fn lines(found: &Answer) -> Vec<String> {
                 format!("smallest      {} mm", motion.displacement_min_m * 1e3),
                 format!("at the end    {} mm after {} s", motion.displacement_end_m * 1e3, found.duration_s),
             ];
+            lines.extend(single.margins.worst.iter().map(|worst| {
+                let margin = &worst.margin;
+                format!(
+                    "{:<22}{:.1} % left at {} s: {} of {} {}{}",
+                    margin.mechanism.words(),
+                    100.0 * margin.left,
+                    worst.time_s,
+                    margin.value,
+                    margin.limit,
+                    margin.unit,
+                    if margin.unverified { "  [limit not verified against its source]" } else { "" }
+                )
+            }));
             if let Some(stated) = &single.stated_error_percent {
                 lines.push(format!(
                     "stated error  {:.4} % of stroke over a step to full scale, {:.4} % over (25)",
