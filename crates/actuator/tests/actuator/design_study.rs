@@ -3,6 +3,7 @@
 use telepulse_actuator::design_study::{
     DesignVariable, EndOfStroke, StudyLimits, evaluate, source_resistance_ohm,
 };
+use telepulse_actuator::failure::{BreakdownLaw, Envelope, FailureCriteria, Mechanism};
 use telepulse_actuator::statics::{Electrodes, Load, StaticSolver};
 use telepulse_actuator::{ActuatorParameters, ActuatorSpec, Error, ParameterSet};
 
@@ -83,4 +84,33 @@ fn edge_variants_that_are_none_say_why() {
     let margin = StudyLimits { voltage_margin: 0.5, ..WIDE };
     let unsafe_margin = evaluate(&base, &[], &[], margin, source);
     assert!(matches!(unsafe_margin, Err(Error::Parameter { key: "voltage_margin", .. })));
+}
+
+#[test]
+fn law_a_stroke_ends_where_the_failure_envelope_has_its_lowest_limit() {
+    let base = ParameterSet::A.parameters();
+    let source = source_resistance_ohm(&base).expect("solvable");
+    for (prestretch, thickness_m, field_v_per_m) in
+        [(1.5, 1e-3, 35e6), (2.0, 1e-3, 35e6), (2.0, 1e-3, 1e9), (3.0, 0.7e-3, 35e6), (1.25, 1e-3, 1e9)]
+    {
+        let spec = ActuatorSpec { prestretch, thickness_m, ..base.spec().clone() };
+        let parameters = ActuatorParameters::new(spec).expect("valid");
+        let limits = StudyLimits { amplifier_v: 12_000.0, field_v_per_m, voltage_margin: 1.25 };
+        let found = evaluate(&parameters, &[], &[], limits, source).expect("borne");
+        let law = BreakdownLaw::constant(field_v_per_m).expect("positive");
+        let criteria = FailureCriteria::default().with_breakdown(law);
+        let ends = Envelope::new(&parameters.sheet().expect("valid"), criteria)
+            .and_then(|mut envelope| envelope.voltage_limits(parameters.weight_n()))
+            .expect("borne");
+        let over_margin = [Mechanism::LossOfTension, Mechanism::PullIn, Mechanism::LimitPoint]
+            .into_iter()
+            .filter_map(|mechanism| ends.of(mechanism))
+            .fold(f64::INFINITY, f64::min)
+            / limits.voltage_margin;
+        let field = ends.of(Mechanism::Breakdown).unwrap_or(f64::INFINITY);
+        let lowest = limits.amplifier_v.min(over_margin).min(field);
+        // The study halves the amplifier's 12 kV twenty times: 0.012 V.
+        let what = format!("pre-stretch {prestretch}, {thickness_m} m, {field_v_per_m} V/m");
+        assert_close(found.voltage_v, lowest, 0.0, 0.03, &what);
+    }
 }

@@ -181,7 +181,7 @@ fn edge_calibration_records_with_gaps_or_without_numbers() {
     };
     let good = case(rows(|_| None));
     for (text, parts) in [
-        (case(rows(|k| (k >= 10).then(|| [5.0 + 0.05 * k as f64, 0.9]))), ["`time_s`", "row 11", "gap"]),
+        (case(rows(|k| (k >= 10).then_some([5.0 + 0.05 * k as f64, 0.9]))), ["`time_s`", "row 11", "gap"]),
         (case(rows(|k| (k == 3).then_some([0.05, 0.1]))), ["`time_s`", "row 4", "ascend"]),
         (good.replacen("[0.0,0.0]", "[0.0,null]", 1), ["`displacement_mm`", "row 1", "null"]),
         (good.replacen("[0.0,0.0]", "[0.0,NaN]", 1), ["`rows`", "NaN", "number"]),

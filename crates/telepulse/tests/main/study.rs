@@ -170,6 +170,24 @@ fn law_voltage_stays_within_0_and_5_kv_in_every_run() {
 }
 
 #[test]
+fn law_report_names_the_fidelity_with_its_stated_error_and_the_envelope() {
+    let device = &ran().report["device"];
+    assert_eq!((&device["fidelity"], &device["sensor"]), (&"reduced".into(), &"laser".into()));
+    // Required of set A: at most 1 % of stroke over a 5 kV step and over (25).
+    for key in ["stated_error_step_percent", "stated_error_reference_percent"] {
+        let percent = device[key].as_f64().expect("measured");
+        assert!(percent > 0.0 && percent <= 1.0, "{key}: {percent}");
+    }
+    assert_eq!(device["max_v_derived"], false);
+    assert_eq!(device["envelope_limited_by"], "amplifier voltage");
+    assert_eq!(device["envelope_unverified"], true, "rupture is assumed");
+    let page = std::fs::read_to_string(ran().folder.join("report.html")).expect("report.html");
+    for said in ["reduced twin, built from the field-level model", "not verified against their source"] {
+        assert!(page.contains(said), "`{said}` is not on the page");
+    }
+}
+
+#[test]
 fn law_doctor_s_log_proves_what_the_patient_sent() {
     let study = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../studies/diaphragm-2017");
     let sent = recording::read(&study.join("or_abp_40s.csv"))
