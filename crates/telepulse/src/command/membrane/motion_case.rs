@@ -217,7 +217,8 @@ fn spec(fields: &Map<String, Value>) -> Result<ActuatorSpec> {
             Material::NeoHookean { mu_pa } => (mu_pa, None),
             Material::Gent { mu_pa, limit } => (mu_pa, Some(limit)),
             Material::Ogden { .. } => bail!(
-                "key `material`: `model` \"ogden\" has no dynamics here, expected \"neo-hookean\" or \"gent\""
+                "key `material`: `model` \"ogden\" has no dynamics here, expected \"neo-hookean\" or \"gent\": branches and linearisation are \
+                 written for one shear modulus and a chain limit"
             ),
         };
     }
