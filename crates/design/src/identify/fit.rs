@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use num_complex::Complex64;
 use telepulse_lti::{TransferFunction, polynomial};
 
-use super::least_squares::{Linearized, Minimum, minimize};
+use super::least_squares::{Linearized, Minimum, Stop, minimize};
 use super::record::{SweepPoint, SweepRecord};
 use super::third_order::{ParameterErrors, RcPole, ThirdOrder};
 use crate::{Error, Result};
@@ -170,7 +170,7 @@ fn best_of_starts(
         Err(Error::FitNotConverged { rms_residual, .. }) => *rms_residual,
         Err(_) => f64::INFINITY,
     };
-    let mut ends = starts.iter().map(|start| minimize(start.clone(), &linearize));
+    let mut ends = starts.iter().map(|start| minimize(start.clone(), Stop::AtTheMinimum, &linearize));
     let first = ends.next().ok_or(Error::EmptyList { key: "starts" })?;
     // A gain of less than a millionth is the same minimum, found with another rounding.
     ends.fold(first, |best, next| if rms(&next) < (1.0 - 1e-6) * rms(&best) { next } else { best })

@@ -22,6 +22,16 @@ pub(super) struct Minimum {
     pub iterations: usize,
 }
 
+/// When an iteration may end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stop {
+    /// Where the parameters no longer move.
+    AtTheMinimum,
+    /// Where an undamped step would lower the sum of squares by less than a millionth of one residual's variance: the parameters are then within a
+    /// thousandth of their standard errors.
+    WithinNoise,
+}
+
 /// Minimises `|residual|^2` from `start`.
 ///
 /// **Method**: damped Gauss-Newton, `(J'J + mu D) step = -J'r` with D the diagonal of J'J, solved through QR of the stacked
@@ -30,13 +40,14 @@ pub(super) struct Minimum {
 ///
 /// **Source**: Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems", 2004, algorithm 3.16.
 ///
-/// **Accuracy**: ends where a step is below [`STEP_MAX`] in every parameter while the damping is small, or where the
-/// residual is at the level of rounding.
+/// **Accuracy**: ends where a step is below [`STEP_MAX`] in every parameter while the damping is small, where the
+/// residual is at the level of rounding, or where `stop` says that noise hides what is left to gain.
 ///
 /// # Errors
 /// [`Error::FitNotConverged`] after [`ITERATIONS_MAX`] iterations or where no step makes the residual smaller.
 pub(super) fn minimize(
     start: DVector<f64>,
+    stop: Stop,
     linearize: impl Fn(&DVector<f64>) -> Linearized,
 ) -> Result<Minimum> {
     let mut parameters = start;
@@ -58,7 +69,10 @@ pub(super) fn minimize(
         let gain = (cost - next.residual.norm_squared()) / predicted;
         // Once the predicted gain is lost in rounding, a small step is all that can be asked for.
         let at_rounding = predicted <= 1e-14 * cost;
-        if last_step <= STEP_MAX || (at_rounding && last_step <= 1e3 * STEP_MAX) {
+        let within_noise = stop == Stop::WithinNoise
+            && damping <= DAMPING_FREE
+            && predicted <= GAIN_WITHIN_NOISE * cost / here.residual.len() as f64;
+        if last_step <= STEP_MAX || (at_rounding && last_step <= 1e3 * STEP_MAX) || within_noise {
             return Ok(Minimum { parameters, linearized: here, iterations });
         }
         let usable = next.residual.iter().chain(next.jacobian.iter()).all(|v| v.is_finite());
@@ -90,6 +104,11 @@ const STEP_TRUSTED: f64 = 2.0;
 /// A relative change of every parameter below this counts as converged.
 const STEP_MAX: f64 = 1e-10;
 
+/// Share of one residual's variance below which a gain is not worth another step.
+const GAIN_WITHIN_NOISE: f64 = 1e-6;
+/// A step damped by less than this is nearly that of Gauss and Newton.
+const DAMPING_FREE: f64 = 1e-2;
+
 fn damped_step(here: &Linearized, damping: f64) -> DVector<f64> {
     let (n_r, n_p) = here.jacobian.shape();
     let mut stacked = DMatrix::zeros(n_r + n_p, n_p);
@@ -118,7 +137,7 @@ mod tests {
             residual: DVector::from_vec(vec![10.0 * (p[1] - p[0] * p[0]), 1.0 - p[0]]),
             jacobian: DMatrix::from_row_slice(2, 2, &[-20.0 * p[0], 10.0, -1.0, 0.0]),
         };
-        let end = minimize(DVector::from_vec(vec![-1.2, 1.0]), f).expect("converges");
+        let end = minimize(DVector::from_vec(vec![-1.2, 1.0]), Stop::AtTheMinimum, f).expect("converges");
         assert!((end.parameters[0] - 1.0).abs() < 1e-9 && (end.parameters[1] - 1.0).abs() < 1e-9);
         assert!(end.iterations < 60, "{}", end.iterations);
     }
@@ -130,6 +149,6 @@ mod tests {
             residual: DVector::from_vec(vec![(-1e-3 * p[0]).exp()]),
             jacobian: DMatrix::from_element(1, 1, -1e-3 * (-1e-3 * p[0]).exp()),
         };
-        assert!(matches!(minimize(DVector::zeros(1), f), Err(Error::FitNotConverged { .. })));
+        assert!(matches!(minimize(DVector::zeros(1), Stop::AtTheMinimum, f), Err(Error::FitNotConverged { .. })));
     }
 }

@@ -8,20 +8,27 @@
 //! - [`ControllerRecipe`]: all of it in one file, with the evidence that the law may run.
 
 mod controller_order;
+mod feedforward;
+mod flat_feedforward;
 pub mod forms;
 mod modal_delta;
 mod pid;
 mod preview;
+mod preview_smoother;
 mod realize;
 mod recipe;
+mod reference_governor;
 mod static_inverse;
 
 pub use controller_order::{ControllerRoute, OrderTried, ReducedController, reduce_controller};
 pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
+pub use feedforward::Feedforward;
+pub use flat_feedforward::{AHEAD, FlatDrive, FlatFeedforward, RECOVERY_RAD_S};
 pub use pid::PidSettings;
 pub use preview::{
     PreviewFeedforward, PreviewOptions, TAIL_MAX, preview_feedforward, transition_for_horizon_hz,
 };
+pub use preview_smoother::{PreviewSmoother, SmootherOptions, preview_smoother};
 pub use realize::{Discretization, Realization, realize_continuous, realize_discrete};
 pub use recipe::{
     AntiWindup, CertifiedLoop, ControllerRecipe, DriveLimits, Law, OperatingPoint, Provenance,

@@ -5,9 +5,10 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
+use super::feedforward::{Feedforward, drive};
+use super::flat_feedforward::FlatDrive;
 use super::modal_delta::ModalDelta;
 use super::pid::PidSettings;
-use super::preview::{PreviewFeedforward, PreviewOptions, preview_feedforward};
 use super::realize::{Discretization, realize_continuous};
 use super::static_inverse::StaticInverse;
 use crate::identify::{Controlled, InputLinearisation, PlantModel};
@@ -109,7 +110,7 @@ pub struct RecipeSettings {
     /// What the reference passes.
     pub reference_path: ReferencePath,
     /// Feedforward from a reference that is known ahead.
-    pub feedforward: Option<PreviewFeedforward>,
+    pub feedforward: Option<Feedforward>,
     /// Static curve behind the feedforward: `u = static_inverse(shaped feedforward(r))`.
     pub static_inverse: Option<StaticInverse>,
     /// Range and slew of the drive.
@@ -124,13 +125,25 @@ pub struct RecipeSettings {
 }
 
 impl RecipeSettings {
+    /// The range of the drive in units of full scale, as a flatness-based feedforward needs it.
+    #[must_use]
+    pub fn flat_drive(&self) -> FlatDrive {
+        drive(self)
+    }
+
     /// The feedforward for a whole reference in mm from rest, in units relative to the bias; `None` without feedforward.
     ///
     /// With a static curve the reference is shaped by the filter at unit DC gain and then goes through the curve; without one it goes
     /// through the filter itself, relative to the operating point.
     #[must_use]
     pub fn feedforward_command(&self, reference_mm: &[f64]) -> Option<Vec<f64>> {
-        let filter = self.feedforward.as_ref()?;
+        let filter = match self.feedforward.as_ref()? {
+            Feedforward::Flat(flat) => {
+                let bias_unit = self.operating_point.bias_unit;
+                return Some(flat.apply(reference_mm).into_iter().map(|u| u - bias_unit).collect());
+            }
+            Feedforward::Preview(filter) => filter,
+        };
         let OperatingPoint { bias_unit, displacement_mm, .. } = self.operating_point;
         Some(match &self.static_inverse {
             Some(curve) => {
@@ -259,6 +272,15 @@ impl ControllerRecipe {
         Ok(Self { plain: PlainRecipe { version: Self::VERSION, law, settings, provenance } })
     }
 
+    /// The same loop with another feedforward: the feedback and its evidence stay, and are checked again.
+    ///
+    /// # Errors
+    /// As [`certified`](Self::certified) or [`uncertified`](Self::uncertified).
+    pub fn with_feedforward(&self, feedforward: Option<Feedforward>) -> Result<Self> {
+        let settings = RecipeSettings { feedforward, ..self.plain.settings.clone() };
+        Self::try_from(PlainRecipe { settings, ..self.plain.clone() })
+    }
+
     /// What turns the tracking error into a command.
     #[must_use]
     pub fn law(&self) -> &Law {
@@ -328,15 +350,10 @@ fn check_against_model(settings: &RecipeSettings, model: &PlantModel) -> Result<
     if settings.controlled != model.controlled {
         return Err(Error::ControlledMismatch);
     }
-    let Some(found) = &settings.feedforward else { return Ok(()) };
-    let PreviewFeedforward { bandwidth_hz, transition_hz, .. } = *found;
-    let options = PreviewOptions { bandwidth_hz, transition_hz, ..PreviewOptions::default() };
-    let wanted = preview_feedforward(&model.nominal, settings.sample_time_s, &options)?;
-    let scale = wanted.taps.iter().fold(0.0, |top: f64, tap| top.max(tap.abs()));
-    let same = found.n_preview == wanted.n_preview
-        && found.taps.len() == wanted.taps.len()
-        && found.taps.iter().zip(&wanted.taps).all(|(a, b)| (a - b).abs() <= LAW_DIFFERENCE_MAX * scale);
-    if same { Ok(()) } else { Err(Error::FeedforwardMismatch) }
+    match &settings.feedforward {
+        Some(found) => found.check_against(model, settings),
+        None => Ok(()),
+    }
 }
 
 /// Verifies the loop that the recipe will close.
@@ -381,7 +398,7 @@ fn same_law(stored: &Law, expected: &Law) -> bool {
     })
 }
 
-fn check_sample_time(key: &'static str, found: f64, settings: &RecipeSettings) -> Result<()> {
+pub(super) fn check_sample_time(key: &'static str, found: f64, settings: &RecipeSettings) -> Result<()> {
     let wanted = settings.sample_time_s.seconds();
     // A sample time may be written as a decimal fraction or as one over a rate.
     if (found - wanted).abs() <= 1e-12 * wanted {
@@ -429,12 +446,7 @@ fn check_settings(settings: &RecipeSettings) -> Result<()> {
             return Err(Error::OutOfRange { key, found, allowed });
         }
     }
-    let Some(filter) = &settings.feedforward else { return Ok(()) };
-    if filter.n_preview >= filter.taps.len() {
-        let allowed = "below the number of taps";
-        return Err(Error::OutOfRange { key: "n_preview", found: filter.n_preview as f64, allowed });
-    }
-    check_sample_time("sample time of the feedforward", filter.sample_time_s, settings)
+    settings.feedforward.as_ref().map_or(Ok(()), |feedforward| feedforward.check_shape(settings))
 }
 
 #[cfg(test)]

@@ -66,9 +66,9 @@ pub fn from_recipe(
     );
     if let Some(preview) = &settings.feedforward {
         ensure!(
-            preview.horizon_s <= study.pulse.playout_delay_s,
+            preview.horizon_s() <= study.pulse.playout_delay_s,
             "the recipe reads the reference {} s ahead, allowed is up to the study's `pulse.playout_delay_s` = {} s",
-            preview.horizon_s,
+            preview.horizon_s(),
             study.pulse.playout_delay_s
         );
     }

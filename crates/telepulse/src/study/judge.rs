@@ -10,6 +10,10 @@ use crate::station::run::RunRecord;
 /// A reference that asks for too much drives a loop into its ends a few times; an oscillation does so in each of its periods.
 pub const HITS_MAX: usize = 8;
 
+/// A loop that follows its reference to this share of its swing does not oscillate: a limit cycle at the drive's ends moves the plate by
+/// millimetres.
+pub const ERROR_SHARE_MAX: f64 = 0.2;
+
 /// What a drive may do.
 #[derive(Debug, Clone, Copy)]
 pub struct DriveRange {
@@ -33,24 +37,15 @@ impl DriveRange {
 /// Why a run counts as unstable, if it does.
 ///
 /// Saturation bounds the states of a simulated device, so instability shows as a limit cycle or a burst of one: the supervisor has
-/// tripped, or in the judged window the drive runs into one of its ends more often than [`HITS_MAX`] times, or the error is larger
-/// than the reference itself.
+/// tripped, or the error is larger than the reference itself, or in the judged window the drive runs into one of its ends more often than
+/// [`HITS_MAX`] times while the error is larger than [`ERROR_SHARE_MAX`] of the reference: a steep reference that is followed all the same may
+/// touch the ends in each of its beats.
 #[must_use]
 pub fn instability(run: &RunRecord, window_start: usize, truth: &[f64], drive: DriveRange) -> Option<String> {
     if let Some(trip) = &run.trip {
         return Some(format!(
             "the supervisor ended the run after {:.2} s: {trip}",
             run.len() as f64 * run.sample_time_s
-        ));
-    }
-    let voltage = &run.voltage_v[window_start..];
-    let at_end = |v: f64| v <= drive.min_v || v >= drive.max_v;
-    let hits = voltage.windows(2).filter(|pair| !at_end(pair[0]) && at_end(pair[1])).count();
-    if hits > HITS_MAX {
-        let share = voltage.iter().filter(|v| at_end(**v)).count() as f64 / voltage.len() as f64;
-        return Some(format!(
-            "oscillation: the drive runs into its ends {hits} times and spends {:.1} % of the time there",
-            100.0 * share
         ));
     }
     let reference = &run.reference[window_start..];
@@ -60,8 +55,21 @@ pub fn instability(run: &RunRecord, window_start: usize, truth: &[f64], drive: D
         swing += (r - mean).powi(2);
         error += (r - y).powi(2);
     }
-    (error > swing)
-        .then(|| format!("oscillation: the error is {:.1} times the reference", (error / swing).sqrt()))
+    let share_of_swing = (error / swing).sqrt();
+    if share_of_swing > 1.0 {
+        return Some(format!("oscillation: the error is {share_of_swing:.1} times the reference"));
+    }
+    let voltage = &run.voltage_v[window_start..];
+    let at_end = |v: f64| v <= drive.min_v || v >= drive.max_v;
+    let hits = voltage.windows(2).filter(|pair| !at_end(pair[0]) && at_end(pair[1])).count();
+    if hits > HITS_MAX && share_of_swing > ERROR_SHARE_MAX {
+        let share = voltage.iter().filter(|v| at_end(**v)).count() as f64 / voltage.len() as f64;
+        return Some(format!(
+            "oscillation: the drive runs into its ends {hits} times and spends {:.1} % of the time there",
+            100.0 * share
+        ));
+    }
+    None
 }
 
 /// The figures of Table 1 over the window that starts at `window_start`, in ticks. `truth` is in the reference's unit (mm).

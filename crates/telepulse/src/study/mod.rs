@@ -5,6 +5,7 @@ pub mod config;
 pub mod controllers;
 pub mod disagreements;
 mod drawings;
+pub mod grey_box;
 pub mod identify;
 pub mod judge;
 pub mod models;

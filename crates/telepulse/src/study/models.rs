@@ -4,18 +4,19 @@ use anyhow::{Context, Result, bail};
 use rayon::prelude::*;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::{
-    Controlled, InputLinearisation, ModelProvenance, PlantModel, SweepRecord, UncertaintyBound,
+    Controlled, GreyBoxFit, InputLinearisation, ModelProvenance, PlantModel, SweepRecord, UncertaintyBound,
     fit_first_order,
 };
 use telepulse_lti::TransferFunction;
 
 use super::bias_sweep::{self, LocalPlant};
 use super::config::{RcTime, Study};
+use super::grey_box;
 use super::identify::{Identification, bound, held_sweep_plan, identify, plant_model, run_sweep, sweep};
 use crate::station::device::{self, Conditions};
 
 /// Sweeps of a study: voltage and its square, in displacement and in force mode, and the small ones at other biases.
-pub const N_SWEEPS: u64 = 5;
+pub const N_SWEEPS: u64 = 6;
 
 /// Everything that identification knows about the device.
 #[derive(Debug, Clone)]
@@ -26,6 +27,8 @@ pub struct Models {
     pub square_root: Identification,
     /// Displacement from both at other biases.
     pub locals: Vec<LocalPlant>,
+    /// Displacement over the whole stroke: the nonlinear model.
+    pub motion: GreyBoxFit,
     /// Relief of the load cell from voltage.
     pub force_voltage: HeldModel,
     /// Relief of the load cell from the square of the voltage.
@@ -66,10 +69,16 @@ pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Res
     let rc = RcTime::Known(voltage.fit.rc_s);
     let locals = bias_sweep::measure(study, twin, voltage.fit.rc_s)?;
     done();
+    let square_root =
+        identify(square_root, rc).context("the displacement sweep with the square of the voltage")?;
+    let mut rig = device::displacement(study, twin, Conditions::default())?;
+    let motion = grey_box::measure(&mut rig, study, device::displacement_scale(), &square_root.fit)
+        .context("the nonlinear model")?;
+    done();
     Ok(Models {
         locals,
-        square_root: identify(square_root, rc)
-            .context("the displacement sweep with the square of the voltage")?,
+        motion,
+        square_root,
         force_voltage: HeldModel::fit(force_voltage, voltage.fit.rc_s).context("the force sweep")?,
         force_square_root: HeldModel::fit(force_square_root, voltage.fit.rc_s)
             .context("the force sweep with the square of the voltage")?,

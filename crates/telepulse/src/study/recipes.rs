@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, ensure};
-use telepulse_design::identify::{InputLinearisation, PlantModel};
+use telepulse_design::identify::{GreyBoxModel, InputLinearisation, PlantModel};
 use telepulse_design::implement::{
-    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Law, OperatingPoint, PreviewOptions,
-    RecipeSettings, ReferencePath, preview_feedforward, realize_continuous,
+    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Feedforward, FlatFeedforward, Law, OperatingPoint, PreviewOptions,
+    RecipeSettings, ReferencePath, SmootherOptions, preview_feedforward, realize_continuous,
 };
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
@@ -104,7 +104,10 @@ pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
         let recipe = match name {
             "pid_auto" => pid_recipe(study, &study.pid.auto, model, &certified)?,
             "pid_manual" => pid_recipe(study, &study.pid.manual, model, &certified)?,
-            "best" => linear_recipe(model, &one.controller, preview_settings(study, model)?, &certified)?,
+            "best" => {
+                let settings = flat_settings(study, model, &models.motion.model)?;
+                linear_recipe(model, &one.controller, settings, &certified)?
+            }
             _ => linear_recipe(model, &one.controller, settings(study, model)?, &certified)?,
         };
         out.displacement.push((name.to_owned(), recipe));
@@ -178,10 +181,27 @@ fn preview_settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings>
     );
     Ok(RecipeSettings {
         reference_path: ReferencePath::Filtered,
-        feedforward: Some(preview),
+        feedforward: Some(Feedforward::Preview(preview)),
         ..settings(study, model)?
     })
 }
+
+/// With the square root at the amplifier, the reference filtered as the measurement is, and the inverse of the nonlinear model.
+fn flat_settings(study: &Study, model: &PlantModel, motion: &GreyBoxModel) -> Result<RecipeSettings> {
+    let sample_time = SampleTime::new(study.sample_time_s())?;
+    let horizon_s = study.pulse.playout_delay_s.min(HORIZON_MAX_S);
+    let options = SmootherOptions { horizon_s, ..SmootherOptions::default() };
+    let settings = settings(study, model)?;
+    let flat = FlatFeedforward::new(motion, sample_time, &options, settings.flat_drive())?;
+    Ok(RecipeSettings {
+        reference_path: ReferencePath::Filtered,
+        feedforward: Some(Feedforward::Flat(Box::new(flat))),
+        ..settings
+    })
+}
+
+/// Beyond this a longer horizon makes no difference that could be measured.
+const HORIZON_MAX_S: f64 = 0.2;
 
 fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
     Ok(RecipeSettings {
