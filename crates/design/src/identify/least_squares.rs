@@ -27,8 +27,8 @@ pub(super) struct Minimum {
 pub(super) enum Stop {
     /// Where the parameters no longer move.
     AtTheMinimum,
-    /// Where an undamped step would lower the sum of squares by less than a millionth of one residual's variance: the parameters are then within a
-    /// thousandth of their standard errors.
+    /// Where a nearly undamped step would lower the sum of squares by less than a ten-thousandth of one residual's variance: the parameters are then
+    /// about a hundredth of their standard errors from the minimum.
     WithinNoise,
 }
 
@@ -105,7 +105,7 @@ const STEP_TRUSTED: f64 = 2.0;
 const STEP_MAX: f64 = 1e-10;
 
 /// Share of one residual's variance below which a gain is not worth another step.
-const GAIN_WITHIN_NOISE: f64 = 1e-6;
+const GAIN_WITHIN_NOISE: f64 = 1e-4;
 /// A step damped by less than this is nearly that of Gauss and Newton.
 const DAMPING_FREE: f64 = 1e-2;
 
@@ -149,6 +149,9 @@ mod tests {
             residual: DVector::from_vec(vec![(-1e-3 * p[0]).exp()]),
             jacobian: DMatrix::from_element(1, 1, -1e-3 * (-1e-3 * p[0]).exp()),
         };
-        assert!(matches!(minimize(DVector::zeros(1), Stop::AtTheMinimum, f), Err(Error::FitNotConverged { .. })));
+        assert!(matches!(
+            minimize(DVector::zeros(1), Stop::AtTheMinimum, f),
+            Err(Error::FitNotConverged { .. })
+        ));
     }
 }

@@ -12,8 +12,8 @@ mod cover;
 mod envelope;
 mod family;
 mod first_order;
-mod grey_box;
 mod fit;
+mod grey_box;
 mod least_squares;
 mod magnitude_design;
 mod minimum_phase;
@@ -32,11 +32,11 @@ pub use family::{
     central_response, cover_family, cover_family_around,
 };
 pub use first_order::{FirstOrderFit, fit_first_order};
+pub use fit::{FitOptions, Residual, ThirdOrderFit, Weighting, fit_third_order};
 pub use grey_box::{
     CreepBranch, GreyBoxExperiment, GreyBoxExperimentOptions, GreyBoxFit, GreyBoxFitOptions, GreyBoxModel,
     GreyBoxRecord, GreyBoxState, PullTerm, fit_grey_box,
 };
-pub use fit::{FitOptions, Residual, ThirdOrderFit, Weighting, fit_third_order};
 pub use magnitude_design::{BoundShape, ORDER_MAX};
 pub(crate) use magnitude_design::{Design as MagnitudeDesign, Row as MagnitudeRow, design_magnitude};
 pub(crate) use minimum_phase::MinimumPhase;

@@ -32,7 +32,9 @@ impl Feedforward {
     pub(super) fn check_shape(&self, settings: &RecipeSettings) -> Result<()> {
         let (taps, n_preview, sample_time_s) = match self {
             Self::Preview(filter) => (&filter.taps, filter.n_preview, filter.sample_time_s),
-            Self::Flat(flat) => (&flat.smoother().taps, flat.smoother().n_preview, flat.sample_time_s().seconds()),
+            Self::Flat(flat) => {
+                (&flat.smoother().taps, flat.smoother().n_preview, flat.sample_time_s().seconds())
+            }
         };
         if n_preview >= taps.len() {
             let allowed = "fewer samples than the filter has taps";

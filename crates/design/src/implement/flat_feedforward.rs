@@ -74,7 +74,8 @@ impl FlatFeedforward {
         options: &SmootherOptions,
         drive: FlatDrive,
     ) -> Result<Self> {
-        let governor_reach_s = if options.horizon_s > GOVERNED_FROM_S { 0.5 * options.horizon_s } else { 0.0 };
+        let governor_reach_s =
+            if options.horizon_s > GOVERNED_FROM_S { 0.5 * options.horizon_s } else { 0.0 };
         let smoother = SmootherOptions { horizon_s: options.horizon_s - governor_reach_s, ..*options };
         Self::try_from(PlainFeedforward {
             model: model.clone(),
@@ -257,7 +258,12 @@ impl TryFrom<PlainFeedforward> for FlatFeedforward {
             ("min_unit", min_unit, min_unit >= 0.0, "0 or above"),
             ("max_unit", max_unit, max_unit > min_unit, "above min_unit"),
             ("slew_unit_per_s", slew, slew > 0.0, "above 0"),
-            ("governor_reach_s", plain.governor_reach_s, (0.0..=1.0).contains(&plain.governor_reach_s), "0 to 1"),
+            (
+                "governor_reach_s",
+                plain.governor_reach_s,
+                (0.0..=1.0).contains(&plain.governor_reach_s),
+                "0 to 1",
+            ),
         ] {
             if !ok || !found.is_finite() {
                 return Err(Error::OutOfRange { key, found, allowed });
@@ -265,7 +271,126 @@ impl TryFrom<PlainFeedforward> for FlatFeedforward {
         }
         let ts = plain.sample_time_s.seconds();
         let horizon_s = (plain.smoother.horizon_s - AHEAD as f64 * ts).max(0.0);
-        let smoother = preview_smoother(plain.sample_time_s, &SmootherOptions { horizon_s, ..plain.smoother })?;
+        let smoother =
+            preview_smoother(plain.sample_time_s, &SmootherOptions { horizon_s, ..plain.smoother })?;
         Ok(Self { plain, smoother })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identify::{CreepBranch, PullTerm};
+
+    fn model() -> GreyBoxModel {
+        let term = |i, j, coefficient| PullTerm { displacement_power: i, drive_power: j, coefficient };
+        let terms = vec![term(1, 0, -1425.0), term(0, 1, 1300.0), term(2, 0, -13.0), term(1, 1, 190.0)];
+        let branch =
+            |stiffness_per_s2, relaxation_time_s| CreepBranch { stiffness_per_s2, relaxation_time_s };
+        GreyBoxModel::new(0.0045, 15.9, terms, vec![branch(22.0, 0.6), branch(25.0, 6.7)], 1.0)
+            .expect("valid")
+    }
+
+    fn feedforward(horizon_s: f64, slew_unit_per_s: Option<f64>) -> FlatFeedforward {
+        let options = SmootherOptions { horizon_s, ..SmootherOptions::default() };
+        let drive = FlatDrive { min_unit: 0.0, max_unit: 1.0, slew_unit_per_s };
+        FlatFeedforward::new(&model(), SampleTime::new(5e-4).expect("positive"), &options, drive)
+            .expect("designs")
+    }
+
+    /// Displacement of the model under a command, and the largest error against the reference over some samples.
+    fn worst_error(command: &[f64], reference: &[f64], judged: std::ops::Range<usize>) -> f64 {
+        let model = model();
+        let mut state = feedforward(0.1, None).relaxed_at(reference[0]);
+        let mut worst = 0.0_f64;
+        for (k, (u, r)) in command.iter().zip(reference).enumerate() {
+            if judged.contains(&k) {
+                worst = worst.max((state.displacement_mm - r).abs());
+            }
+            model.advance(&mut state, u.sqrt(), 5e-4);
+        }
+        worst
+    }
+
+    /// A pulse-like reference about 0.45 mm: three harmonics of 1.2 Hz.
+    fn smooth_reference(n: usize) -> Vec<f64> {
+        let harmonic = |k: usize, f: f64, a: f64| a * (std::f64::consts::TAU * f * k as f64 * 5e-4).cos();
+        (0..n)
+            .map(|k| 0.45 - harmonic(k, 1.2, 0.2) + harmonic(k, 3.6, 0.05) - harmonic(k, 8.4, 0.02))
+            .collect()
+    }
+
+    #[test]
+    fn law_the_model_follows_a_smooth_reference_exactly() {
+        let reference = smooth_reference(8000);
+        for horizon_s in [0.2, 0.1, 0.04, 0.01] {
+            let command = feedforward(horizon_s, None).apply(&reference);
+            assert!(command.iter().all(|u| (0.0..=1.0).contains(u)));
+            // The end of a record is held, so its last 0.3 s are not judged. 60 Hz leave 2e-7 of 8.4 Hz; the circuit's arrival at the end of each sample leaves the rest.
+            let worst = worst_error(&command, &reference, 1000..7400);
+            assert!(worst < 2e-4, "{horizon_s} s: {worst} mm");
+        }
+    }
+
+    #[test]
+    fn law_without_preview_it_lags_and_stays_bounded() {
+        let reference = smooth_reference(8000);
+        let worst = worst_error(&feedforward(0.0, None).apply(&reference), &reference, 1000..7400);
+        assert!((1e-3..0.05).contains(&worst), "{worst} mm");
+    }
+
+    #[test]
+    fn law_a_governed_rise_that_is_too_steep_is_closer_than_a_limited_one() {
+        // 0.5 mm within 25 ms: more than full scale can do.
+        let rise = |k: usize| {
+            let t = ((k as f64 - 2000.0) / 50.0).clamp(0.0, 1.0);
+            0.2 + 0.5 * t * t * (3.0 - 2.0 * t)
+        };
+        let reference: Vec<f64> = (0..6000).map(rise).collect();
+        let governed = feedforward(0.2, None);
+        let command = governed.apply(&reference);
+        assert!(command.iter().all(|u| (0.0..=1.0).contains(u)));
+        // The same smoother without the governor.
+        let mut plain = governed.plain.clone();
+        plain.governor_reach_s = 0.0;
+        let limited = FlatFeedforward::try_from(plain).expect("valid");
+        let square = |command: &[f64]| -> f64 {
+            let model = model();
+            let mut state = governed.relaxed_at(reference[0]);
+            command
+                .iter()
+                .zip(&reference)
+                .map(|(u, r)| {
+                    let error = state.displacement_mm - r;
+                    model.advance(&mut state, u.sqrt(), 5e-4);
+                    error * error
+                })
+                .sum()
+        };
+        let (with, without) = (square(&command), square(&limited.apply(&reference)));
+        assert!(with < 0.5 * without, "{with} {without}");
+    }
+
+    #[test]
+    fn law_slew_and_range_are_never_left() {
+        let command = feedforward(0.2, Some(4.0)).apply(&smooth_reference(8000));
+        let voltage: Vec<f64> = command.iter().map(|u| u.sqrt()).collect();
+        assert!(voltage.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= 4.0 * 5e-4 + 1e-12));
+        assert!(feedforward(0.2, None).apply(&[]).is_empty());
+    }
+
+    #[test]
+    fn law_a_file_holds_what_determines_it_and_is_checked() {
+        let flat = feedforward(0.2, None);
+        let text = serde_json::to_string(&flat).expect("writes");
+        assert!(!text.contains("taps"));
+        assert_eq!(serde_json::from_str::<FlatFeedforward>(&text).expect("reads"), flat);
+        let bad = text.replace("\"max_unit\":1.0", "\"max_unit\":-1.0");
+        assert!(
+            serde_json::from_str::<FlatFeedforward>(&bad)
+                .expect_err("refused")
+                .to_string()
+                .contains("max_unit")
+        );
     }
 }

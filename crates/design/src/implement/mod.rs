@@ -21,9 +21,9 @@ mod reference_governor;
 mod static_inverse;
 
 pub use controller_order::{ControllerRoute, OrderTried, ReducedController, reduce_controller};
-pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
 pub use feedforward::Feedforward;
 pub use flat_feedforward::{AHEAD, FlatDrive, FlatFeedforward, RECOVERY_RAD_S};
+pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
 pub use pid::PidSettings;
 pub use preview::{
     PreviewFeedforward, PreviewOptions, TAIL_MAX, preview_feedforward, transition_for_horizon_hz,

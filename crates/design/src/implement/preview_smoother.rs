@@ -23,9 +23,9 @@ pub struct SmootherOptions {
 }
 
 impl Default for SmootherOptions {
-    /// 0.2 s ahead and 0.25 s back, 45 Hz, a reference whose amplitudes fall beyond 2 Hz as those of a pulse.
+    /// 0.2 s ahead and 0.25 s back, 60 Hz, a reference whose amplitudes fall beyond 2 Hz as those of a pulse.
     fn default() -> Self {
-        Self { horizon_s: 0.2, past_s: 0.25, bandwidth_hz: 45.0, reference_corner_hz: 2.0 }
+        Self { horizon_s: 0.2, past_s: 0.25, bandwidth_hz: 60.0, reference_corner_hz: 2.0 }
     }
 }
 
@@ -158,7 +158,12 @@ fn check(options: &SmootherOptions, sample_time_s: f64) -> Result<()> {
         ("horizon_s", horizon_s, horizon_s >= 0.0, "0 or above"),
         ("past_s", past_s, past_s > 0.0, "above 0"),
         ("horizon_s + past_s in samples", n, (8.0..=N_MAX).contains(&n), "8 to 4096"),
-        ("bandwidth_hz", bandwidth_hz, bandwidth_hz > 0.0 && bandwidth_hz * sample_time_s < 0.25, "below half of the Nyquist frequency"),
+        (
+            "bandwidth_hz",
+            bandwidth_hz,
+            bandwidth_hz > 0.0 && bandwidth_hz * sample_time_s < 0.25,
+            "below half of the Nyquist frequency",
+        ),
         (
             "reference_corner_hz",
             reference_corner_hz,
@@ -175,3 +180,83 @@ fn check(options: &SmootherOptions, sample_time_s: f64) -> Result<()> {
 
 /// Longest filter: its normal equations are solved densely.
 const N_MAX: f64 = 4096.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    fn smoother(horizon_s: f64) -> PreviewSmoother {
+        let options = SmootherOptions { horizon_s, ..SmootherOptions::default() };
+        preview_smoother(SampleTime::new(5e-4).expect("positive"), &options).expect("designs")
+    }
+
+    /// The response `sum of taps e^(-i omega t)` at a frequency, real and imaginary part.
+    fn response(filter: &PreviewSmoother, frequency_hz: f64) -> [f64; 2] {
+        let mut sum = [0.0; 2];
+        for (i, tap) in filter.taps.iter().enumerate() {
+            let angle = TAU * frequency_hz * 5e-4 * (filter.n_preview as f64 - i as f64);
+            sum[0] += tap * angle.cos();
+            sum[1] += tap * angle.sin();
+        }
+        sum
+    }
+
+    #[test]
+    fn law_a_long_horizon_gives_the_zero_phase_low_pass() {
+        let filter = smoother(0.2);
+        for frequency_hz in [0.0, 1.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0] {
+            let expected = 1.0 / (1.0 + (frequency_hz / 60.0_f64).powi(8));
+            let [re, im] = response(&filter, frequency_hz);
+            // The finite past of 0.25 s and the exact DC gain leave less than a thousandth.
+            assert!((re - expected).abs() < 1e-3 && im.abs() < 1e-3, "{frequency_hz} Hz: {re} {im}");
+        }
+    }
+
+    #[test]
+    fn law_the_expected_error_is_met_by_noise_of_the_assumed_spectrum_and_falls_with_the_horizon() {
+        // White noise through 1/(1 + s/(2 pi 2 Hz))^2, sampled: two equal first-order sections.
+        let mut random = Pcg64Mcg::seed_from_u64(11);
+        let keep = (-TAU * 2.0 * 5e-4_f64).exp();
+        let mut sections = [0.0; 2];
+        let signal: Vec<f64> = (0..400_000)
+            .map(|_| {
+                let white: f64 =
+                    (0..3).map(|_| f64::from(random.next_u32()) / f64::from(u32::MAX) - 0.5).sum();
+                sections[0] += (1.0 - keep) * (white - sections[0]);
+                sections[1] += (1.0 - keep) * (sections[0] - sections[1]);
+                sections[1]
+            })
+            .collect();
+        let power = signal.iter().map(|r| r * r).sum::<f64>();
+        let mut previous = f64::INFINITY;
+        for horizon_s in [0.0, 0.004, 0.01, 0.05] {
+            let filter = smoother(horizon_s);
+            let error: f64 = filter.apply(&signal).iter().zip(&signal).map(|(a, b)| (a - b).powi(2)).sum();
+            // The expectation holds the effort too; what is measured is the error alone.
+            let relative = error / power;
+            assert!(relative < 1.3 * filter.expected_error, "{relative} {}", filter.expected_error);
+            assert!(relative > 0.1 * filter.expected_error, "{relative} {}", filter.expected_error);
+            assert!(filter.expected_error < previous);
+            previous = filter.expected_error;
+        }
+    }
+
+    #[test]
+    fn edge_options_that_make_no_filter_are_refused() {
+        let sample_time = SampleTime::new(5e-4).expect("positive");
+        let good = SmootherOptions::default();
+        for (options, key) in [
+            (SmootherOptions { horizon_s: -0.1, ..good }, "horizon_s"),
+            (SmootherOptions { past_s: 0.0, ..good }, "past_s"),
+            (SmootherOptions { horizon_s: 9.0, ..good }, "in samples"),
+            (SmootherOptions { bandwidth_hz: 600.0, ..good }, "bandwidth_hz"),
+            (SmootherOptions { reference_corner_hz: 70.0, ..good }, "reference_corner_hz"),
+            (SmootherOptions { bandwidth_hz: f64::NAN, ..good }, "bandwidth_hz"),
+        ] {
+            let message = preview_smoother(sample_time, &options).expect_err("refused").to_string();
+            assert!(message.contains(key), "{message}");
+        }
+    }
+}

@@ -498,7 +498,7 @@ mod tests {
         let mut settings = settings();
         let filter =
             preview_feedforward(&printed_model().nominal, settings.sample_time_s, &PreviewOptions::default());
-        settings.feedforward = Some(filter.expect("designs"));
+        settings.feedforward = Some(Feedforward::Preview(filter.expect("designs")));
         ControllerRecipe::certified(
             &printed_model(),
             &printed_controller(1.0),
@@ -561,7 +561,7 @@ mod tests {
         // 0.9 * 0.6^2 = 0.324 mm is held by 0.6, which is 0.1 above the bias.
         let curved = settings.feedforward_command(&[0.324; 300]).expect("has a filter");
         assert!(curved.iter().all(|u| (u - 0.1).abs() < 1e-12));
-        if let Some(filter) = &mut settings.feedforward {
+        if let Some(Feedforward::Preview(filter)) = &mut settings.feedforward {
             filter.n_preview = filter.taps.len();
         }
         assert!(matches!(check_settings(&settings), Err(Error::OutOfRange { key: "n_preview", .. })));

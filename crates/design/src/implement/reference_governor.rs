@@ -137,7 +137,8 @@ impl Knots {
         let n = self.drive.len();
         let free = EDGE_KNOTS..n - EDGE_KNOTS;
         let n_free = free.len();
-        let (mut rows, mut columns, mut values, mut bounds) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut rows, mut columns, mut values, mut bounds) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         // A x + s = b with s >= 0.
         for j in 2..n - 2 {
             let w = self.drive[j][0];
@@ -173,7 +174,8 @@ impl Knots {
         let constraints = CscMatrix::new_from_triplets(bounds.len(), n_free, rows, columns, values);
         let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(60).build().ok()?;
         let cones = [NonnegativeConeT(bounds.len())];
-        let mut solver = DefaultSolver::new(&quadratic, &linear, &constraints, &bounds, &cones, settings).ok()?;
+        let mut solver =
+            DefaultSolver::new(&quadratic, &linear, &constraints, &bounds, &cones, settings).ok()?;
         solver.solve();
         let usable = matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
         usable.then(|| {
@@ -190,7 +192,8 @@ impl Knots {
         let products = [18.0, 8.0, 1.0].map(|p| 2.0 * p / 36.0);
         let (mut rows, mut columns, mut values) = (Vec::new(), Vec::new(), Vec::new());
         for column in 0..n_free {
-            for (distance, product) in products.iter().enumerate().filter(|(distance, _)| *distance <= column) {
+            for (distance, product) in products.iter().enumerate().filter(|(distance, _)| *distance <= column)
+            {
                 rows.push(column - distance);
                 columns.push(column);
                 values.push(*product);

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, ensure};
 use telepulse_design::identify::{GreyBoxModel, InputLinearisation, PlantModel};
 use telepulse_design::implement::{
-    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Feedforward, FlatFeedforward, Law, OperatingPoint, PreviewOptions,
-    RecipeSettings, ReferencePath, SmootherOptions, preview_feedforward, realize_continuous,
+    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Feedforward, FlatFeedforward, Law,
+    OperatingPoint, PreviewOptions, RecipeSettings, ReferencePath, SmootherOptions, preview_feedforward,
+    realize_continuous,
 };
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 

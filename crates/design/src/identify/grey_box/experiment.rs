@@ -131,7 +131,8 @@ fn check(options: &GreyBoxExperimentOptions) -> Result<()> {
             return Err(Error::OutOfRange { key: "levels", found, allowed: "0 to 1" });
         }
     }
-    let GreyBoxExperimentOptions { bias, peak, frequency_min_hz, frequency_max_hz, sample_rate_hz, .. } = *options;
+    let GreyBoxExperimentOptions { bias, peak, frequency_min_hz, frequency_max_hz, sample_rate_hz, .. } =
+        *options;
     let rules = [
         ("bias - peak", bias - peak, bias - peak >= 0.0, "not negative: the square of a voltage"),
         ("bias + peak", bias + peak, bias + peak <= 1.0, "up to 1"),

@@ -196,7 +196,9 @@ impl GreyBoxModel {
         start[2..2 + n_b].copy_from_slice(&state.branches_mm);
         let mut sum = [0.0; 2 + BRANCHES_MAX];
         let mut slope = [0.0; 2 + BRANCHES_MAX];
-        for (stage, (share, weight)) in [(0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)].into_iter().enumerate() {
+        for (stage, (share, weight)) in
+            [(0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)].into_iter().enumerate()
+        {
             let at: [f64; 2 + BRANCHES_MAX] = std::array::from_fn(|k| start[k] + share * step_s * slope[k]);
             slope = self.slope(&at, w[[0, 1, 1, 2][stage]]);
             for (total, part) in sum.iter_mut().zip(&slope) {

@@ -17,6 +17,9 @@ type Dual = [f64; 1 + P_MAX];
 type State = [Dual; 2 + BRANCHES_MAX];
 
 /// How parameters become a model: coefficients linear in units of `omega_0^2`, all else as logarithms of their ratio to the start.
+///
+/// Of a branch these are first stiffness over relaxation time, then the time: of a branch that is slower than the record only the former
+/// shows, and with stiffness and time as parameters the fit would creep along a bent valley.
 #[derive(Debug, Clone)]
 pub(super) struct Parametrization {
     /// Square of the natural frequency of the start, s^-2.
@@ -48,7 +51,8 @@ impl Parametrization {
     fn numbers(&self, parameters: &DVector<f64>) -> Numbers {
         let n_b = self.branches.len();
         let branches = self.branches.iter().enumerate().map(|(k, start)| CreepBranch {
-            stiffness_per_s2: start.stiffness_per_s2 * parameters[N_TERMS + 1 + k].exp(),
+            stiffness_per_s2: start.stiffness_per_s2
+                * (parameters[N_TERMS + 1 + k] + parameters[N_TERMS + 1 + n_b + k]).exp(),
             relaxation_time_s: start.relaxation_time_s * parameters[N_TERMS + 1 + n_b + k].exp(),
         });
         let rc_factor = if self.rc_is_free { parameters[N_TERMS + 1 + 2 * n_b].exp() } else { 1.0 };
@@ -68,7 +72,13 @@ impl Parametrization {
             drive_power: j,
             coefficient,
         });
-        GreyBoxModel::new(numbers.rc_s, numbers.damping, terms.collect(), numbers.branches, displacement_max_mm)
+        GreyBoxModel::new(
+            numbers.rc_s,
+            numbers.damping,
+            terms.collect(),
+            numbers.branches,
+            displacement_max_mm,
+        )
     }
 
     /// Displacement and its derivatives at every sample, to `each`: the value before the drive of that sample acts.
@@ -82,7 +92,11 @@ impl Parametrization {
         sample_time_s: f64,
         mut each: impl FnMut(&[f64]),
     ) {
-        let motion = Motion { numbers: self.numbers(parameters), omega_squared: self.omega_squared, rc_is_free: self.rc_is_free };
+        let motion = Motion {
+            numbers: self.numbers(parameters),
+            omega_squared: self.omega_squared,
+            rc_is_free: self.rc_is_free,
+        };
         let n_p = self.n_parameters();
         let mut state: State = [[0.0; 1 + P_MAX]; 2 + BRANCHES_MAX];
         let mut circuit = [0.0; 2];
@@ -114,7 +128,9 @@ impl Motion {
         let n = 2 + self.numbers.branches.len();
         let zero: State = [[0.0; 1 + P_MAX]; 2 + BRANCHES_MAX];
         let (mut sum, mut slope, mut at) = (zero, zero, *state);
-        for (stage, (next_share, weight)) in [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)].into_iter().enumerate() {
+        for (stage, (next_share, weight)) in
+            [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)].into_iter().enumerate()
+        {
             self.slope(&at, w[[0, 1, 1, 2][stage]], &mut slope);
             for k in 0..n {
                 for q in 0..=P_MAX {
@@ -167,6 +183,7 @@ impl Motion {
             }
             let stretch = x - dashpot[0];
             out[1][2 + N_TERMS + k] -= p * stretch;
+            out[1][2 + N_TERMS + n_b + k] -= p * stretch;
             out[2 + k][2 + N_TERMS + n_b + k] -= rate * stretch;
         }
         if self.rc_is_free {
