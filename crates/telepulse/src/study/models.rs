@@ -67,13 +67,18 @@ pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Res
     // The circuit is the same in all four; where it is left to the fit, the displacement sweep determines it.
     let voltage = identify(voltage, study.identify.rc_s).context("the displacement sweep")?;
     let rc = RcTime::Known(voltage.fit.rc_s);
-    let locals = bias_sweep::measure(study, twin, voltage.fit.rc_s)?;
-    done();
     let square_root =
         identify(square_root, rc).context("the displacement sweep with the square of the voltage")?;
-    let mut rig = device::displacement(study, twin, Conditions::default())?;
-    let motion = grey_box::measure(&mut rig, study, device::displacement_scale(), &square_root.fit)
-        .context("the nonlinear model")?;
+    let (locals, motion) = rayon::join(
+        || bias_sweep::measure(study, twin, voltage.fit.rc_s),
+        || {
+            let mut rig = device::displacement(study, twin, Conditions::default())?;
+            grey_box::measure(&mut rig, study, device::displacement_scale(), &square_root.fit)
+                .context("the nonlinear model")
+        },
+    );
+    let (locals, motion) = (locals?, motion?);
+    done();
     done();
     Ok(Models {
         locals,
