@@ -7,11 +7,20 @@ pub(super) struct Seen {
     pub(super) frequency: f64,
 }
 
+/// How near to the peak a climb ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Goal {
+    /// As near as rounding lets it.
+    Peak,
+    /// So near that the gain misses about a thousandth of the peak: enough to tell whether it is worth going on.
+    Rough,
+}
+
 /// Returns the local peak that is reached from `start`, with steps that begin at `width`.
 ///
 /// **Method**: doubles the step uphill until a peak is bracketed, then parabolas through `1 / gain²`, which for a lone
 /// resonance *is* a parabola, with bisection where a parabola fails to shrink the bracket.
-pub(super) fn climb(mut gain: impl FnMut(f64) -> f64, start: Seen, width: f64) -> Seen {
+pub(super) fn climb(mut gain: impl FnMut(f64) -> f64, start: Seen, width: f64, goal: Goal) -> Seen {
     let mut at = |frequency: f64| Seen { gain: gain(frequency.abs()), frequency };
     let mut step = width.max(1e2 * f64::EPSILON * start.frequency);
     let mut best = start;
@@ -40,8 +49,9 @@ pub(super) fn climb(mut gain: impl FnMut(f64) -> f64, start: Seen, width: f64) -
         let curvature = (slope_right - slope_left) / (to_left + to_right);
         let slope = slope_left + curvature * to_left;
         let improvement = 0.25 * slope * slope / curvature;
-        if improvement.is_nan() || improvement < IMPROVEMENT_MIN {
-            if confirmed {
+        let worthwhile = if goal == Goal::Peak { IMPROVEMENT_MIN } else { IMPROVEMENT_ROUGH };
+        if improvement.is_nan() || improvement < worthwhile {
+            if confirmed || goal == Goal::Rough {
                 break;
             }
             // One look closer by, in case three points happened to lie symmetrically.
@@ -85,6 +95,8 @@ const STEPS_MAX: usize = 40;
 const BISECTION_EVERY: usize = 5;
 /// Relative change of `1 / gain²` below which a step is not worth its evaluation.
 const IMPROVEMENT_MIN: f64 = 1e-13;
+/// The same where the peak is only sounded.
+const IMPROVEMENT_ROUGH: f64 = 1e-3;
 /// Share of the bracket at which the peak is looked at once more.
 const CLOSER: f64 = 0.1;
 
@@ -107,9 +119,32 @@ mod tests {
                     },
                     from,
                     width,
+                    Goal::Peak,
                 );
                 assert!(1.0 - top.gain < 1e-13 && looks < 40, "{start} {width}: {top:?} {looks}");
             }
+        }
+    }
+
+    #[test]
+    fn law_a_rough_climb_sees_the_height_for_fewer_looks() {
+        // 1 / gain² of this resonance is a parabola, one step of which ends on its peak of 1 at 3.
+        let hill = |x: f64| 1.0 / (1.0 + (x - 3.0) * (x - 3.0)).sqrt();
+        for start in [2.5, 3.2] {
+            let looks_for = |goal| {
+                let mut looks = 0;
+                let look = |x| {
+                    looks += 1;
+                    hill(x)
+                };
+                let top = climb(look, Seen { gain: hill(start), frequency: start }, 0.3, goal);
+                (top.gain, looks)
+            };
+            let ((rough, few), (fine, many)) = (looks_for(Goal::Rough), looks_for(Goal::Peak));
+            assert!(
+                rough > 0.998 && fine > 1.0 - 1e-13 && few < many,
+                "{start}: {rough} {few}, {fine} {many}"
+            );
         }
     }
 
@@ -120,7 +155,7 @@ mod tests {
             looks += 1;
             1.0
         };
-        assert_eq!(climb(flat, Seen { gain: 1.0, frequency: 2.0 }, 0.1).gain, 1.0);
+        assert_eq!(climb(flat, Seen { gain: 1.0, frequency: 2.0 }, 0.1, Goal::Peak).gain, 1.0);
         assert!(looks <= 4);
     }
 }

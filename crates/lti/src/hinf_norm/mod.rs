@@ -10,7 +10,7 @@ mod stress;
 
 use serde::{Deserialize, Serialize};
 
-use self::climb::{Seen, climb};
+use self::climb::{Goal, Seen, climb};
 use self::gain::GainEvaluator;
 use self::level::{Crossing, LevelTest};
 use self::reduced::Reduced;
@@ -188,7 +188,12 @@ impl<'a> Search<'a> {
             if known.iter().any(|&(low, high)| start.frequency >= low && start.frequency <= high) {
                 continue;
             }
-            let top = climb(|f| self.gains.gain(f), start, STEP * width);
+            // The highest start goes all the way, the others only as soon as they turn out to lead higher.
+            let goal = if known.is_empty() { Goal::Peak } else { Goal::Rough };
+            let mut top = climb(|f| self.gains.gain(f), start, STEP * width, goal);
+            if goal == Goal::Rough && top.gain > WORTH_GOING_ON * self.best.gain {
+                top = climb(|f| self.gains.gain(f), top, STEP_ON * width, Goal::Peak);
+            }
             let (low, high) = (top.frequency.min(start.frequency), top.frequency.max(start.frequency));
             known.push((low - STEP * width, high + STEP * width));
             if top.gain > self.best.gain {
@@ -217,7 +222,7 @@ impl<'a> Search<'a> {
             // The Hessenberg form has moved the peak by a good part of its width.
             let start = Seen { gain: refined.gain, frequency: self.best.frequency };
             let look = |f: f64| refined_gain(sys, f).map_or(0.0, |r| r.gain);
-            self.best = climb(look, start, STEP * sys.damping_width(pole));
+            self.best = climb(look, start, STEP * sys.damping_width(pole), Goal::Peak);
             refined = refined_gain(sys, self.best.frequency).ok_or(Error::Unstable { pole })?;
         }
         // What the Hessenberg form really lost, far less than the bound where the system is graded.
@@ -260,7 +265,7 @@ impl<'a> Search<'a> {
         }
         let look = |f: f64| refined_gain(sys, f).map_or(0.0, |refined| refined.gain);
         let (old, old_error, old_rounding) = (self.best, self.error, self.rounding);
-        self.best = climb(look, best, PROBE_STEP * best.frequency);
+        self.best = climb(look, best, PROBE_STEP * best.frequency, Goal::Peak);
         self.refine()?;
         if self.best.gain > level {
             return Ok(true);
@@ -293,7 +298,7 @@ impl<'a> Search<'a> {
         starts.sort_by(|x, y| y.0.gain.total_cmp(&x.0.gain));
         let mut best = Seen { gain: level, frequency: 0.0 };
         for &(start, width) in starts.iter().take(CLIMBS_MAX) {
-            let top = climb(|f| self.gains.gain(f), start, width);
+            let top = climb(|f| self.gains.gain(f), start, width, Goal::Peak);
             if top.gain > best.gain {
                 best = top;
             }
@@ -340,6 +345,10 @@ const CLIMBS_MAX: usize = 6;
 const WORTH_A_CLIMB: f64 = 0.3;
 /// First step of a climb in units of the half width of a resonance.
 const STEP: f64 = 0.5;
+/// The same where a climb goes on from a place near the peak.
+const STEP_ON: f64 = 0.1;
+/// Share of the best gain that a rough climb has to reach: it may miss a thousandth of its peak.
+const WORTH_GOING_ON: f64 = 0.99;
 /// Relative rounding above which the gain is evaluated again in doubled precision.
 const REFINE_ABOVE: f64 = 1e-13;
 /// Relative rounding above which the climb is repeated as well: half the square of it is lost in the gain.
