@@ -51,9 +51,12 @@ fn unreached(reach: &DMatrix<Complex64>, target: &DMatrix<Complex64>) -> f64 {
     if reach.nrows() <= reach.ncols() {
         return 0.0;
     }
-    let Some(u) = reach.clone().svd(true, false).u else { return 0.0 };
+    // Where the columns of `reach` depend on each other, this basis spans more than they do, and the bound is only lower.
+    let u = reach.clone().qr().q();
     let rest = target - &u * (u.adjoint() * target);
-    let size = rest.singular_values().max();
+    // The larger Gram matrix has no more eigenvalues than the smaller one.
+    let gram = if rest.nrows() < rest.ncols() { &rest * rest.adjoint() } else { rest.ad_mul(&rest) };
+    let size = gram.symmetric_eigenvalues().max().max(0.0).sqrt();
     // Cancellation leaves rounding where nothing is left.
     if size.is_finite() && size > ROUNDING * target.norm() { size } else { 0.0 }
 }
