@@ -32,7 +32,8 @@ impl GammaBracket {
     ///
     /// **Source**: Boyd and Balakrishnan 1990 for the frequencies, Scherer 1990 and Gahinet 1992 for the coupling.
     ///
-    /// **Errors**: [`Error::Infeasible`], [`Error::NotConverged`], those of the assumptions and of the Schur form.
+    /// **Errors**: [`Error::Infeasible`], [`Error::IllConditioned`] where not even a gamma without limit passes,
+    /// [`Error::NotConverged`], those of the assumptions and of the Schur form.
     pub(super) fn find(
         plant: &GeneralizedPlant,
         normalized: &NormalizedPlant,
@@ -47,6 +48,10 @@ impl GammaBracket {
             search.try_gamma(gamma.min(options.gamma_max))?;
             if search.bracket.upper.is_infinite() && gamma >= options.gamma_max {
                 assumptions::check(normalized, Strictness::Likely)?;
+                // Without a limit on gamma every plant that meets the assumptions has a solution: that it is not found is rounding.
+                if matches!(test(normalized, UNLIMITED)?, Test::Violated(_)) {
+                    return Err(Error::IllConditioned { gamma: options.gamma_max, achieved: f64::INFINITY });
+                }
                 let binding = search.bracket.binding;
                 return Err(Error::Infeasible { gamma_max: options.gamma_max, binding });
             }
@@ -293,6 +298,8 @@ fn inverse_quadratic(points: &[(f64, f64)]) -> Option<f64> {
     t.is_finite().then_some(t)
 }
 
+/// A gamma whose square is as good as infinite and still a number.
+const UNLIMITED: f64 = 1e150;
 /// First gamma tried where nothing gives a hint.
 const FIRST_GAMMA: f64 = 1.0;
 /// Factors between gammas while the upper end is unknown: each is the square of the one before.
