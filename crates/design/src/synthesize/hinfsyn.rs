@@ -1,13 +1,15 @@
 //! H-infinity synthesis: bracket the smallest reachable norm, design once just above it, measure what was achieved.
 
 use num_complex::Complex64;
-use telepulse_lti::{Continuous, GeneralizedPlant, PeakGain, StateSpace, hinf_norm};
+use telepulse_lti::hinf_norm::hinf_norm_and_poles;
+use telepulse_lti::{Continuous, GeneralizedPlant, PeakGain, StateSpace};
 
 use super::assumptions::{self, Strictness};
 use super::central_controller::{Condition, Feasible, Test, test};
 use super::controller_gain::peak_gain;
 use super::controller_speed::slowed_down;
 use super::gamma_bracket::GammaBracket;
+use super::measured_loop::{FormedLoop, measured};
 use super::normalized_plant::NormalizedPlant;
 use super::pointwise_bound::{frequencies, pointwise_bound};
 use super::regularize::regularized_design;
@@ -97,7 +99,8 @@ pub struct HinfDesign {
     pub gamma_upper: f64,
     /// The norm that this controller was designed for.
     pub gamma_design: f64,
-    /// The closed-loop norm on the plant as it was given, recomputed from the closed loop.
+    /// The closed-loop norm on the plant as it was given, recomputed from the closed loop and held against the response of
+    /// plant and controller that are not joined into one system; the ends are moved apart by what the two differ.
     pub achieved: PeakGain,
     /// Poles of the closed loop in rad/s, all stable.
     pub closed_loop_poles: Vec<Complex64>,
@@ -111,6 +114,9 @@ pub struct HinfDesign {
     pub n_residualized: usize,
     /// Norm of `X1ᵀ X2 - X2ᵀ X1` of the worse of the two subspaces: rounding of the design.
     pub isotropy_error: f64,
+    /// Why the last design nearer to the optimum was discarded; `None` where the first one, at the back-off, was kept. Then
+    /// `gamma_design` is more than the back-off times `gamma_upper`, and so may be the norm.
+    pub discarded: Option<Error>,
 }
 
 impl HinfDesign {
@@ -129,7 +135,7 @@ impl HinfDesign {
 /// **Method**: normalize `D12` and `D21`, check the assumptions mode by mode, bracket gamma
 /// by the gains that no controller lowers at single frequencies, the coupling of the two Riccati solutions, and tests in between, design the central controller once at `backoff` times the upper end,
 /// undo the normalization (including `D22`), close the loop on the given plant and compute its norm through
-/// [`hinf_norm()`]. A design whose loop is unstable or misses its gamma is discarded and repeated further from the
+/// [`telepulse_lti::hinf_norm()`]. A design whose loop is unstable or misses its gamma is discarded and repeated further from the
 /// optimum; it is never returned.
 ///
 /// **Source**: Glover and Doyle 1988; Zhou, Doyle and Glover 1996, chapters 16 and 17.
@@ -181,7 +187,7 @@ pub(super) fn regular_design(
     let mut bracket = GammaBracket::find(solved, &normalized, options)?;
     let gamma_floor = bracket.upper.max(bracket.lower);
     let mut factor = options.backoff;
-    let mut last = Error::NotConverged { gamma_lower: bracket.lower, gamma_upper: bracket.upper };
+    let mut discarded = None;
     for _ in 0..n_designs {
         let gamma = factor * gamma_floor;
         match Attempt::new(plant, &normalized, gamma, options) {
@@ -207,13 +213,14 @@ pub(super) fn regular_design(
                     regularization: None,
                     n_residualized: attempt.n_residualized,
                     isotropy_error: attempt.isotropy_error,
+                    discarded,
                 });
             }
             Err(
                 error @ (Error::IllConditioned { .. }
                 | Error::ControllerTooFast { .. }
                 | Error::ControllerGainTooHigh { .. }),
-            ) => last = error,
+            ) => discarded = Some(error),
             Err(error) => return Err(error),
         }
         if factor >= options.relaxation_max {
@@ -221,7 +228,8 @@ pub(super) fn regular_design(
         }
         factor = (1.0 + RELAXATION_GROWTH * (factor - 1.0)).min(options.relaxation_max);
     }
-    Err(last)
+    let GammaBracket { lower, upper, .. } = bracket;
+    Err(discarded.unwrap_or(Error::NotConverged { gamma_lower: lower, gamma_upper: upper }))
 }
 
 /// Where rounding made the loop miss its gamma by a little, the better of it and a design nearer to the optimum.
@@ -355,17 +363,23 @@ impl Attempt {
         controller: StateSpace<Continuous>,
         gamma: f64,
     ) -> Result<Self, Error> {
-        let closed_loop = plant.lower_lft(&controller)?;
-        let closed_loop_poles = closed_loop.poles()?;
+        let sys = plant.lower_lft(&controller)?;
+        let unstable = Error::IllConditioned { gamma, achieved: f64::INFINITY };
+        let (peak, poles) = match hinf_norm_and_poles(&sys) {
+            Err(telepulse_lti::Error::Unstable { .. }) => return Err(unstable),
+            other => other?,
+        };
         // A real part that rounding of the loop's own entries can turn is no evidence of stability.
-        let rounding = STABLE_ROUNDING * f64::EPSILON * closed_loop.balanced().a().norm();
-        if closed_loop_poles.iter().any(|pole| pole.re >= -rounding) {
-            return Err(Error::IllConditioned { gamma, achieved: f64::INFINITY });
+        let rounding = STABLE_ROUNDING * f64::EPSILON * sys.balanced().a().norm();
+        if poles.iter().any(|pole| pole.re >= -rounding) {
+            return Err(unstable);
         }
-        let achieved = hinf_norm(&closed_loop)?;
+        let formed = FormedLoop { sys, poles, peak };
+        let achieved = measured(plant, &controller, &formed, gamma)?;
         if achieved.upper > gamma * (1.0 + ACHIEVED_TOLERANCE) {
             return Err(Error::IllConditioned { gamma, achieved: achieved.value });
         }
+        let closed_loop_poles = formed.poles;
         Ok(Self { controller, achieved, closed_loop_poles, n_residualized: 0, isotropy_error: 0.0 })
     }
 }

@@ -15,6 +15,7 @@ mod full_information;
 mod gamma_bracket;
 mod h2syn;
 mod hinfsyn;
+mod measured_loop;
 mod mixed_sensitivity;
 mod ncfsyn;
 mod normalized_plant;
