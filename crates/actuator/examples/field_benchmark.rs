@@ -44,11 +44,12 @@ fn main() -> Result<(), Error> {
                     times.sort_by(f64::total_cmp);
                     println!(
                         "{{\"set\": \"{set:?}\", \"command\": \"{name}\", \"circuit\": \"{circuit}\", \"degree\": {degree}, \
-                         \"median_s\": {:.4}, \"least_s\": {:.4}, \"end_mm\": {end_mm:.9}, \"sweeps\": {}, \"iterations\": {}}}",
+                         \"median_s\": {:.4}, \"least_s\": {:.4}, \"end_mm\": {end_mm:.9}, \"sweeps\": {}, \"iterations\": {}, \"factorizations\": {}}}",
                         times[ROUNDS / 2],
                         times[0],
                         effort.sweeps,
-                        effort.iterations
+                        effort.iterations,
+                        effort.factorizations
                     );
                 }
             }

@@ -7,6 +7,8 @@ mod energy;
 mod fractional;
 mod radau;
 mod setup;
+mod springs;
+mod stage;
 mod step;
 
 pub use circuit::{Amplifier, Circuit};
@@ -14,7 +16,7 @@ pub use contact::PlateContact;
 pub use energy::{EnergyFlow, StoredEnergy};
 pub use setup::FieldSetup;
 
-use branches::{Branch, Stage, StageLaw};
+use branches::{Branch, HeldLaw};
 use radau::{Radau, STAGES};
 use step::{Motion, StepStart};
 
@@ -31,9 +33,11 @@ use crate::{ActuatorParameters, Error};
 /// d(C Phi)/dt = (u - Phi)/R_s - Phi/R_leak                  u: amplifier, C: capacitance of the membrane as it stands
 /// xi1'/xi1 = (t1 - t2/2)/(3 mu_i tau_i),  1 <-> 2           at every node and branch
 /// ```
-/// **Method**: Radau IIA of order five. A stage is one static solve of the membrane ([`crate::statics`]), in which the plate is
-/// a compliance in series with the force, the resistor a capacitance beside the electrodes, and a branch a spring that
-/// yields: nothing is lagged, and stiff branches, circuits and contacts need no small steps. A step that fails is halved.
+/// **Method**: Radau IIA of order five, its stages swept over one after the other. In each sweep a stage takes one Newton step of
+/// the membrane, in which the plate is a compliance in series with the force, the resistor a capacitance beside the electrodes,
+/// and a branch a spring that yields, its dashpot eliminated node by node. Nothing is lagged once the sweeps end, and stiff
+/// branches, circuits and contacts need no small steps. Factors serve for as long as the sweeps contract; stages are guessed by
+/// those of the step before. A step that fails is halved.
 ///
 /// **Source**: branches by Foo, Cai, Koh, Bauer, Suo 2012.
 ///
@@ -153,20 +157,16 @@ impl FieldTwin {
             amplifier_v,
             voltage_v,
         };
-        self.start.forget(state);
         (self.flow, self.time_s) = (EnergyFlow::default(), 0.0);
         self.effort = FieldEffort::default();
-        self.rebalance()
+        self.rebalance()?;
+        self.stand();
+        Ok(())
     }
 
     /// Relaxed equilibrium of plate, membrane and contact.
     fn settled(&self, solver: &mut StaticSolver, voltage_v: f64) -> Result<StaticPoint, Error> {
-        let law = StageLaw {
-            network: self.sheet.law(),
-            modulus_factor: self.modulus_factor,
-            branches: &[],
-            stage: Stage { index: 0, diagonal_s: 0.0 },
-        };
+        let law = HeldLaw { network: self.sheet.law(), modulus_factor: self.modulus_factor, branches: &[] };
         let (weight, electrodes) = (self.parameters.weight_n(), Electrodes::VoltageV(voltage_v));
         let slack = SlackStates::Refused;
         let mut point = solver.solve_with(&law, Load::ForceN(weight), electrodes, slack)?;
@@ -199,15 +199,12 @@ impl FieldTwin {
         self.modulus_factor = factor;
         self.rebalance()?;
         self.flow.ageing_j += self.stored().total_j() - before;
-        self.start.forget(&self.membranes[STAGES - 1].state);
+        self.stand();
         Ok(())
     }
 
     /// Solves the membrane at the present plate position, charge and dashpots.
     fn rebalance(&mut self) -> Result<(), Error> {
-        for branch in &mut self.branches {
-            branch.hold();
-        }
         let sheet = &self.sheet;
         let electric = match self.setup.circuit {
             Circuit::ConstantRc => {
@@ -218,12 +215,8 @@ impl FieldTwin {
             ),
         };
         let load = Held::Displacement(self.motion.x_m / sheet.length_scale_m());
-        let law = StageLaw {
-            network: sheet.law(),
-            modulus_factor: self.modulus_factor,
-            branches: &self.branches,
-            stage: Stage { index: STAGES - 1, diagonal_s: 0.0 },
-        };
+        let law =
+            HeldLaw { network: sheet.law(), modulus_factor: self.modulus_factor, branches: &self.branches };
         let present = &mut self.membranes[STAGES - 1];
         present.linear.surroundings = Surroundings::default();
         present.linear.discard();

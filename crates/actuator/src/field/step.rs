@@ -1,11 +1,11 @@
-//! One step of time: three stages, each a static solve of the membrane with plate and circuit around it.
+//! One step of time: sweeps over its three stages until they stop changing.
 
-use super::branches::{Stage, StageLaw};
-use super::circuit::{Circuit, Current};
+use super::FieldTwin;
+use super::circuit::Circuit;
 use super::radau::STAGES;
-use super::{EnergyFlow, FieldTwin};
+use super::springs::{BranchStress, Pairs, pairs};
 use crate::Error;
-use crate::statics::{Control, Effort, Electric, Held, State, Surroundings};
+use crate::statics::{State, Surroundings};
 
 /// Plate and circuit at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -21,19 +21,25 @@ pub(super) struct Motion {
 
 /// Rates of x, v and the circuit's state in one stage.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Rates([f64; 3]);
+pub(super) struct Rates(pub(super) [f64; 3]);
 
 /// What a step starts from, and what its stages have found.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct StepStart {
-    state: State,
-    rates: [Rates; STAGES],
-    known: [[f64; 3]; STAGES],
-    voltages_v: [f64; STAGES],
-    power: [EnergyFlow; STAGES],
-    /// The last step, if the stages of it foretell the next.
-    last: Option<(f64, Acting)>,
-    node_power: Vec<f64>,
+    pub(super) state: State,
+    pub(super) rates: [Rates; STAGES],
+    pub(super) known: [[f64; 3]; STAGES],
+    pub(super) voltages_v: [f64; STAGES],
+    /// Current from the amplifier, A; not of a circuit of constant time constant.
+    pub(super) sources_a: [f64; STAGES],
+    /// Logarithms of the stretches.
+    pub(super) logs: [Pairs; STAGES],
+    /// Surroundings whose factors are at hand.
+    pub(super) factored: [Surroundings; STAGES],
+    pub(super) branch_stress: BranchStress,
+    pub(super) node_power: Vec<f64>,
+    /// Length of the last step, if its stages foretell the next.
+    last_s: Option<f64>,
     scratch: [State; STAGES],
 }
 
@@ -44,9 +50,12 @@ impl StepStart {
             rates: [Rates::default(); STAGES],
             known: [[0.0; 3]; STAGES],
             voltages_v: [0.0; STAGES],
-            power: [EnergyFlow::default(); STAGES],
-            last: None,
+            sources_a: [0.0; STAGES],
+            logs: std::array::from_fn(|_| pairs(state.r.len())),
+            factored: [Surroundings::default(); STAGES],
+            branch_stress: BranchStress::new(state.r.len()),
             node_power: vec![0.0; state.r.len()],
+            last_s: None,
             scratch: std::array::from_fn(|_| state.clone()),
         }
     }
@@ -55,21 +64,15 @@ impl StepStart {
     pub(super) fn forget(&mut self, state: &State) {
         self.state.copy_from(state);
         self.rates = [Rates::default(); STAGES];
-        self.last = None;
+        self.last_s = None;
     }
 }
 
 /// What acts during a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Acting {
-    target_v: f64,
-    disturbance_n: f64,
-}
-
-/// A stage's affine surroundings of the membrane.
-struct Linear {
-    control: Control,
-    surroundings: Surroundings,
+pub(super) struct Acting {
+    pub(super) target_v: f64,
+    pub(super) disturbance_n: f64,
 }
 
 impl FieldTwin {
@@ -120,13 +123,13 @@ impl FieldTwin {
         }
     }
 
-    /// Guesses all stages: by those of the step before while the inputs stay, else by its end.
+    /// Guesses all stages by those of the step before.
     fn predict(&mut self, h: f64, acting: Acting) {
         let start = &mut self.start;
         start.state.copy_from(&self.membranes[STAGES - 1].state);
-        let weights = match start.last {
-            Some((last_s, before)) if before == acting => self.radau.extrapolation(h / last_s),
-            _ => {
+        let weights = match start.last_s {
+            Some(last_s) => self.radau.extrapolation(h / last_s),
+            None => {
                 for membrane in &mut self.membranes {
                     membrane.state.copy_from(&start.state);
                 }
@@ -154,6 +157,9 @@ impl FieldTwin {
             branch.predict(&weights);
         }
         self.predict_circuit(h, acting);
+        for i in 0..STAGES {
+            self.stretch(i);
+        }
     }
 
     /// Guesses the circuit's rates with the capacitance as it stands: three linear equations, exact where it is constant.
@@ -186,260 +192,89 @@ impl FieldTwin {
             membrane.state.copy_from(&self.start.state);
             membrane.linear.discard();
         }
-        for branch in &mut self.branches {
-            branch.stop();
-        }
-        self.start.rates = [Rates::default(); STAGES];
-        self.start.last = None;
         // The evaluation belongs to the failed state: solve anew where the twin stood. It did so before.
         let _stood = self.rebalance();
+        self.stand();
+    }
+
+    /// Nothing is known about the motion that goes on from here.
+    pub(super) fn stand(&mut self) {
+        let present = &self.membranes[STAGES - 1];
+        self.start.forget(&present.state);
+        for branch in &mut self.branches {
+            branch.stop(&present.at.l1, &present.at.l2);
+        }
     }
 
     /// Sweeps over the stages until they stop changing.
+    ///
+    /// The membrane takes one step of Newton's method in each stage and sweep, with factors of earlier steps while they contract.
     fn converge(&mut self, h: f64, acting: Acting) -> Result<(), Error> {
         let mut last = f64::INFINITY;
+        let mut fresh = false;
         for _ in 0..MAX_SWEEPS {
-            let motion = self.motion;
-            for (i, known) in self.start.known.iter_mut().enumerate() {
-                let rest = &self.radau.rest[i];
-                let initial = [motion.x_m, motion.v_m_per_s, motion.electric];
-                for (k, value) in known.iter_mut().enumerate() {
-                    let sum: f64 = rest.iter().zip(&self.start.rates).map(|(a, f)| a * f.0[k]).sum();
-                    *value = initial[k] + h * sum;
-                }
-            }
-            for branch in &mut self.branches {
-                branch.begin_sweep(&self.radau, h);
-            }
-            self.effort.sweeps += 1;
+            self.begin_sweep(h);
             let mut change = 0.0_f64;
             for i in 0..STAGES {
                 change = change.max(self.stage(i, h, acting)?);
             }
+            let contraction = change / last;
             // What is left is about the last change times the contraction, of which the first sweep, which also corrects the
             // guess, tells too much.
-            let left = change * (change / last).clamp(LEAST_CONTRACTION, 1.0);
-            if left < self.setup.tolerance {
-                return Ok(());
+            if change * contraction.clamp(LEAST_CONTRACTION, 1.0) < self.setup.tolerance {
+                return self.finish(h);
+            }
+            if contraction > WORN {
+                if fresh && contraction > DIVERGED {
+                    break;
+                }
+                if !fresh || contraction > 1.0 {
+                    self.discard_factors();
+                    fresh = true;
+                }
             }
             last = change;
         }
         Err(self.unsolved())
     }
 
-    /// Solves stage `i`; returns the change of its rates, times the step, in units of B and of full scale.
-    fn stage(&mut self, i: usize, h: f64, acting: Acting) -> Result<f64, Error> {
-        for j in 0..i {
-            for k in 0..3 {
-                self.start.known[i][k] += h * self.radau.lower[i][j] * self.start.rates[j].0[k];
+    /// What plate, circuit and dashpots know of the stages by the rates of the sweep before.
+    fn begin_sweep(&mut self, h: f64) {
+        let motion = self.motion;
+        for (i, known) in self.start.known.iter_mut().enumerate() {
+            let rest = &self.radau.rest[i];
+            let initial = [motion.x_m, motion.v_m_per_s, motion.electric];
+            for (k, value) in known.iter_mut().enumerate() {
+                let sum: f64 = rest.iter().zip(&self.start.rates).map(|(a, f)| a * f.0[k]).sum();
+                *value = initial[k] + h * sum;
             }
         }
         for branch in &mut self.branches {
-            branch.begin_stage(&self.radau, h, i);
+            branch.begin_sweep(&self.radau, h);
         }
-        let stage = Stage { index: i, diagonal_s: h * self.radau.lower[i][i] };
-        let g = stage.diagonal_s;
-        let amplifier = self.setup.amplifier;
-        let u = amplifier.output_v(self.motion.amplifier_v, acting.target_v, h * self.radau.nodes[i]);
-        let mut x_m = self.start.known[i][0] + g * self.start.rates[i].0[0];
-        let mut current = Current::Free;
-        for _ in 0..MAX_LINEARISATIONS {
-            let (contact, slope) = self.contact(i, g, x_m);
-            let linear = self.surround(i, g, u, current, acting, [x_m, contact, slope]);
-            self.solve_membrane(stage, &linear)?;
-            let length = self.sheet.length_scale_m();
-            let solved_m = self.membranes[i].at.displacement * length;
-            let (voltage, free_a) = self.charge(i, g, u, current);
-            let next = Current::of(free_a, amplifier.current_limit_a);
-            let missed = self.contact(i, g, solved_m).0 - (contact + slope * (solved_m - x_m));
-            let settled = missed.abs() * g * g / self.parameters.spec().mass_kg
-                < MEMBRANE_SHARE * self.setup.tolerance * length;
-            x_m = solved_m;
-            if settled && next == current {
-                self.start.voltages_v[i] = voltage;
-                return Ok(self.end_stage(stage, u, current, acting));
-            }
-            current = next;
-        }
-        Err(self.unsolved())
+        self.effort.sweeps += 1;
     }
 
-    /// Contact force at `x_m` in stage `i`, and its slope by x, the velocity following from x.
-    fn contact(&self, i: usize, g: f64, x_m: f64) -> (f64, f64) {
-        let v = (x_m - self.start.known[i][0]) / g;
-        let contact = self.setup.contact_force(x_m - self.rest_sag_m, v);
-        (contact.force_n, contact.by_x + contact.by_v / g)
-    }
-
-    /// Plate and circuit as the membrane of stage `i` sees them; the contact is `[x, force, slope]`.
-    fn surround(
-        &self,
-        i: usize,
-        g: f64,
-        u: f64,
-        current: Current,
-        acting: Acting,
-        [x_m, contact_n, slope]: [f64; 3],
-    ) -> Linear {
-        let (spec, sheet) = (self.parameters.spec(), &self.sheet);
-        let [known_x, known_v, known_electric] = self.start.known[i];
-        // v = v* + g (W + d + N - F - c v)/m, x = x* + g v, so x + k F = x* + k (m v*/g + W + d + N), k = g^2/(m + g c).
-        let k = g * g / (spec.mass_kg + g * spec.damping_n_s_per_m);
-        let push = self.parameters.weight_n() + acting.disturbance_n + contact_n - slope * x_m;
-        let stiffened = 1.0 / (1.0 - k * slope);
-        let free_m = stiffened * (known_x + k * (spec.mass_kg * known_v / g + push));
-        let (length, force) = (sheet.length_scale_m(), sheet.force_scale_n());
-        let mut surroundings = Surroundings { compliance: stiffened * k * force / length, parallel: 0.0 };
-        let limited = current.limited_a(self.setup.amplifier.current_limit_a);
-        let electric = match self.setup.circuit {
-            Circuit::ConstantRc => {
-                Electric::Field(sheet.field_scale_per_v2() * self.constant_rc_v(i, g, u).0.powi(2))
-            }
-            Circuit::Deformable { series_resistance_ohm: series, leak_resistance_ohm: leak } => {
-                // (C + g/R_s + g/R_leak) Phi = Q* + g u/R_s, or without R_s at the limit.
-                let scale = sheet.capacitance_scale_f();
-                let series = limited.map_or(1.0 / series, |_| 0.0);
-                let charge = known_electric + g * limited.unwrap_or(u * series);
-                surroundings.parallel = g * (series + 1.0 / leak) / scale;
-                Electric::ChargeSquared(sheet.field_scale_per_v2() * (charge / scale).powi(2))
-            }
-        };
-        Linear { control: Control { load: Held::Displacement(free_m / length), electric }, surroundings }
-    }
-
-    /// Voltage of a circuit of constant time constant in stage `i`, and its rate, with the amplifier's current limit.
-    fn constant_rc_v(&self, i: usize, g: f64, u: f64) -> (f64, f64) {
-        let (rc, known) = (self.parameters.spec().rc_s, self.start.known[i][2]);
-        let limit = self.setup.amplifier.current_limit_a / self.capacitance_f();
-        let rate = ((u - known) / (rc + g)).clamp(-limit, limit);
-        (known + g * rate, rate)
-    }
-
-    fn solve_membrane(&mut self, stage: Stage, linear: &Linear) -> Result<(), Error> {
-        let law = StageLaw {
-            network: self.sheet.law(),
-            modulus_factor: self.modulus_factor,
-            branches: &self.branches,
-            stage,
-        };
-        let membrane = &mut self.membranes[stage.index];
-        membrane.linear.surroundings = linear.surroundings;
-        membrane.tolerance = MEMBRANE_SHARE * self.setup.tolerance;
-        let mut solved = membrane.solve(&law, linear.control);
-        if solved.is_err() {
-            // A bad guess: once more from the start of the step.
-            membrane.state.copy_from(&self.start.state);
+    fn discard_factors(&mut self) {
+        for membrane in &mut self.membranes {
             membrane.linear.discard();
-            solved = membrane.solve(&law, linear.control);
         }
-        let (Ok(effort) | Err(effort)) = solved;
-        self.effort.iterations += effort.iterations;
-        self.effort.factorizations += effort.factorizations;
-        let sound = membrane.at.least_s11 > 0.0;
-        match solved {
-            Ok(effort) if sound => self.last_solve = effort,
-            Ok(effort) | Err(effort) => {
-                self.last_solve = effort;
-                return Err(self.unsolved());
-            }
-        }
-        Ok(())
-    }
-
-    /// Why the present stage has no solution.
-    fn unsolved(&self) -> Error {
-        let Effort { residual, iterations, .. } = self.last_solve;
-        let voltage_v = self.motion.voltage_v;
-        let stiffness = self.membranes.iter().map(|m| m.at.least_modulus).fold(f64::INFINITY, f64::min);
-        if stiffness <= 0.0 {
-            return Error::PullIn {
-                voltage_v,
-                displacement_m: self.motion.x_m,
-                modulus_min_pa: stiffness * self.sheet.shear_modulus_pa(),
-            };
-        }
-        Error::NotConverged { voltage_v, residual, iterations }
-    }
-
-    /// Voltage across the membrane in stage `i` as solved, and the current that the resistor alone would carry.
-    fn charge(&self, i: usize, g: f64, u: f64, current: Current) -> (f64, f64) {
-        let known = self.start.known[i][2];
-        match self.setup.circuit {
-            Circuit::ConstantRc => (self.constant_rc_v(i, g, u).0, 0.0),
-            Circuit::Deformable { series_resistance_ohm: series, leak_resistance_ohm: leak } => {
-                let capacitance_f = self.membranes[i].at.capacitance * self.sheet.capacitance_scale_f();
-                let voltage = match current.limited_a(self.setup.amplifier.current_limit_a) {
-                    None => (known + g * u / series) / (capacitance_f + g / series + g / leak),
-                    Some(limited) => (known + g * limited) / (capacitance_f + g / leak),
-                };
-                (voltage, (u - voltage) / series)
-            }
-        }
-    }
-
-    /// Takes rates and powers from a solved stage.
-    fn end_stage(&mut self, stage: Stage, u: f64, current: Current, acting: Acting) -> f64 {
-        let (i, g) = (stage.index, stage.diagonal_s);
-        let spec = self.parameters.spec();
-        let weight = self.parameters.weight_n();
-        let at = &self.membranes[i].at;
-        let membrane_n = self.membranes[i].state.force * self.sheet.force_scale_n();
-        let x = at.displacement * self.sheet.length_scale_m();
-        let v = (x - self.start.known[i][0]) / g;
-        let contact = self.setup.contact_force(x - self.rest_sag_m, v).force_n;
-        let damper = spec.damping_n_s_per_m * v;
-        let acceleration = (weight + acting.disturbance_n + contact - membrane_n - damper) / spec.mass_kg;
-        let voltage = self.start.voltages_v[i];
-        let mut power = EnergyFlow {
-            gravity_j: weight * v,
-            disturbance_j: acting.disturbance_n * v,
-            contact_j: contact * v,
-            damper_j: damper * v,
-            ..EnergyFlow::default()
-        };
-        let (electric, electric_scale) = match self.setup.circuit {
-            Circuit::ConstantRc => (self.constant_rc_v(i, g, u).1, spec.full_scale_v),
-            Circuit::Deformable { series_resistance_ohm: series, leak_resistance_ohm: leak } => {
-                let free = (u - voltage) / series;
-                let source = current.limited_a(self.setup.amplifier.current_limit_a).unwrap_or(free);
-                power.source_j = u * source;
-                power.series_j = (u - voltage) * source;
-                power.leak_j = voltage * voltage / leak;
-                let scale = spec.full_scale_v * at.capacitance * self.sheet.capacitance_scale_f();
-                (source - voltage / leak, scale)
-            }
-        };
-        self.start.node_power.fill(0.0);
-        let mut change = 0.0_f64;
-        for branch in &mut self.branches {
-            change = change.max(branch.end_stage(stage, &at.l1, &at.l2, &mut self.start.node_power));
-        }
-        let operator = &self.membranes[i].operator;
-        let nodes = operator.weights.iter().zip(&operator.rho).zip(&self.start.node_power);
-        power.branches_j =
-            self.energy_scale_j() * nodes.map(|((weight, rho), power)| weight * rho * power).sum::<f64>();
-        self.start.power[i] = power;
-        let new = [v, acceleration, electric];
-        let old = std::mem::replace(&mut self.start.rates[i], Rates(new)).0;
-        let length = self.sheet.length_scale_m();
-        let scales = [length, length / g, electric_scale];
-        for k in 0..3 {
-            change = change.max((new[k] - old[k]).abs() / scales[k]);
-        }
-        change * g
     }
 
     /// Ends the step.
     fn commit(&mut self, h: f64, acting: Acting) {
+        for (i, weight) in self.radau.weights.into_iter().enumerate() {
+            let power = self.power(i, h, acting);
+            self.flow.add(&power, h * weight);
+        }
         let start = &mut self.start;
         let mut end = [self.motion.x_m, self.motion.v_m_per_s, self.motion.electric];
-        for ((rates, weight), power) in start.rates.iter().zip(&self.radau.weights).zip(&start.power) {
+        for (rates, weight) in start.rates.iter().zip(&self.radau.weights) {
             for (value, rate) in end.iter_mut().zip(rates.0) {
                 *value += h * weight * rate;
             }
-            self.flow.add(power, h * weight);
         }
-        start.last = Some((h, acting));
+        start.last_s = Some(h);
         for branch in &mut self.branches {
             branch.commit(&self.radau, h);
         }
@@ -467,11 +302,11 @@ fn combine(out: &mut State, weights: &[f64; STAGES], states: [&State; STAGES]) {
 const CIRCUIT_SWEEPS: usize = 10;
 /// Halvings of a step that fails.
 const MAX_HALVINGS: usize = 10;
-/// Sweeps over the stages; 3 to 8 are usual.
-const MAX_SWEEPS: usize = 60;
+/// Sweeps over the stages; 3 to 6 are usual.
+const MAX_SWEEPS: usize = 40;
 /// Contraction of the sweeps that is counted on.
 const LEAST_CONTRACTION: f64 = 0.1;
-/// Part of the tolerance that a stage's membrane may use up, and its linearised contact.
-const MEMBRANE_SHARE: f64 = 0.1;
-/// Linearisations of contact and current limit in one stage.
-const MAX_LINEARISATIONS: usize = 50;
+/// Contraction from which new factors pay.
+const WORN: f64 = 0.3;
+/// Growth of the change, with factors of the step itself, at which sweeping ends.
+const DIVERGED: f64 = 10.0;

@@ -132,14 +132,34 @@ impl Evaluation {
 
     /// Evaluates at `state`; false where the law has no value at some node.
     pub(crate) fn at<L: PointLaw>(&mut self, operator: &Operator, law: &L, state: &State) -> bool {
+        self.stretch(operator, state);
+        self.balance(operator, law, state)
+    }
+
+    /// Slopes, stretches, displacement and capacitance at `state`: what comes before the material.
+    #[inline]
+    pub(crate) fn stretch(&mut self, operator: &Operator, state: &State) {
         operator.differentiate(&state.r, &mut self.p);
         let (mut displacement, mut capacitance) = (0.0, 0.0);
+        for j in 0..=operator.degree {
+            let (p, q, weight) = (self.p[j], state.q[j], operator.weights[j]);
+            let (l1, l2) = ((p * p + q * q).sqrt(), state.r[j] * operator.inverse_rho[j]);
+            (self.l1[j], self.l2[j]) = (l1, l2);
+            displacement -= weight * q;
+            let area = l1 * l2;
+            capacitance += weight * operator.rho[j] * area * area;
+        }
+        (self.displacement, self.capacitance) = (displacement, capacitance);
+    }
+
+    /// The rest at the state that was stretched last; false where the law has no value at some node.
+    #[inline]
+    pub(crate) fn balance<L: PointLaw>(&mut self, operator: &Operator, law: &L, state: &State) -> bool {
         let (mut least_s11, mut least_s22) = (f64::INFINITY, f64::INFINITY);
         for j in 0..=operator.degree {
             let (p, q) = (self.p[j], state.q[j]);
-            let (rho, inverse_rho, weight) = (operator.rho[j], operator.inverse_rho[j], operator.weights[j]);
-            let l1 = (p * p + q * q).sqrt();
-            let l2 = state.r[j] * inverse_rho;
+            let (rho, inverse_rho) = (operator.rho[j], operator.inverse_rho[j]);
+            let (l1, l2) = (self.l1[j], self.l2[j]);
             let Some(elastic) = law.stress(j, l1, l2) else { return false };
             let area = l1 * l2;
             // Electrical stress for one v^2: -l1 l2^2 and -l1^2 l2.
@@ -155,7 +175,7 @@ impl Evaluation {
             // c = cos(theta), d = -sin(theta).
             let (c, d) = (p * inverse_l1, q * inverse_l1);
             let geometric = s1 * inverse_l1;
-            (self.l1[j], self.l2[j], self.s1[j], self.s2[j]) = (l1, l2, s1, s2);
+            (self.s1[j], self.s2[j]) = (s1, s2);
             self.radial[j] = rho * s1 * c;
             self.vertical[j] = rho * s1 * d + state.force;
             self.points[j] = Point {
@@ -169,8 +189,6 @@ impl Evaluation {
                 q_field: rho * e1 * d,
                 s2_field: e2,
             };
-            displacement -= weight * q;
-            capacitance += weight * rho * area * area;
         }
         let n = operator.degree;
         operator.differentiate(&self.radial, &mut self.balance);
@@ -178,10 +196,8 @@ impl Evaluation {
             *slope -= s2;
         }
         (self.balance[0], self.balance[n]) = (0.0, 0.0);
-        self.displacement = displacement;
-        self.capacitance = capacitance;
         (self.least_s11, self.least_modulus) = (least_s11, least_s11.min(least_s22));
-        displacement.is_finite() && capacitance.is_finite()
+        self.displacement.is_finite() && self.capacitance.is_finite()
     }
 
     /// Largest stress, at least 1: rounding of the residual grows with it.

@@ -94,12 +94,12 @@ impl Step {
         state.field += factor * self.field;
     }
 
-    /// Largest change of a radius, a slope, the force or v^2.
+    /// Largest change of a radius, a slope, the force or v^2; not a number where one of them is none.
     pub(crate) fn size(&self) -> f64 {
-        let largest = |values: &[f64]| {
-            values.iter().fold(0.0, |a: f64, b| if b.is_nan() { f64::NAN } else { a.max(b.abs()) })
-        };
-        largest(&self.r).max(largest(&self.q)).max(self.force.abs()).max(self.field.abs())
+        let both = [self.force, self.field];
+        let all = self.r.iter().chain(&self.q).chain(&both);
+        // `max` passes over what is not a number.
+        all.fold(0.0, |a: f64, b| if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b.abs()) })
     }
 }
 
