@@ -14,11 +14,24 @@ use crate::study::{self, config::Study};
 /// The study that runs when nothing is asked for.
 const DEFAULT_STUDY: &str = "studies/diaphragm-2017";
 
+macro_rules! of_default_study {
+    ($name:literal) => {
+        ($name, include_str!(concat!("../../../../studies/diaphragm-2017/", $name)))
+    };
+}
+
 /// What `study new` writes: the default study.
-const TEMPLATE: [(&str, &str); 3] = [
-    ("study.toml", include_str!("../../../../studies/diaphragm-2017/study.toml")),
-    ("or_abp_40s.csv", include_str!("../../../../studies/diaphragm-2017/or_abp_40s.csv")),
-    ("ATTRIBUTION.md", include_str!("../../../../studies/diaphragm-2017/ATTRIBUTION.md")),
+const TEMPLATE: [(&str, &str); 10] = [
+    of_default_study!("study.toml"),
+    of_default_study!("or_abp_40s.csv"),
+    of_default_study!("ATTRIBUTION.md"),
+    of_default_study!("pulses/or_patA_abp.csv"),
+    of_default_study!("pulses/mimic037_abp.csv"),
+    of_default_study!("pulses/mimic2_s00001_abp.csv"),
+    of_default_study!("pulses/finger_aac27_22.csv"),
+    of_default_study!("pulses/finger_aac276_4.csv"),
+    of_default_study!("pulses/finger_aac409_0.csv"),
+    of_default_study!("pulses/finger_aac3_3.csv"),
 ];
 
 #[derive(Debug, Args)]

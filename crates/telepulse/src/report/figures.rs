@@ -9,6 +9,7 @@ use telepulse_lti::TransferFunction;
 use crate::figure::{Axis, Colour, Dash, Figure, Marker, Panel, Series};
 use crate::study::identify::Identification;
 use crate::study::outcome::BiasPoint;
+use crate::study::pulse_files::{PulseFile, PulseFiles};
 use crate::study::trace::Trace;
 
 /// Traces by controller.
@@ -297,4 +298,48 @@ pub fn replay(
         voltage = voltage.series(Series::line(name, time_s, cut(trace, &trace.voltage_kv), colour));
     }
     Figure::new(id, title).caption(caption).shared_x().panel(output).panel(error).panel(voltage)
+}
+
+/// Error and lag of recorded pulses over how far ahead they are known; none without recordings.
+#[must_use]
+pub fn pulse_files(files: &PulseFiles) -> Option<Figure> {
+    let horizons = || Axis::linear("horizon, ms");
+    let mut error = Panel::new(horizons(), Axis::log("NRMSE, %"));
+    let mut lag = Panel::new(horizons(), Axis::linear("lag, ms"));
+    let colours = [
+        Colour::Ink,
+        Colour::Vermilion,
+        Colour::Blue,
+        Colour::Green,
+        Colour::Orange,
+        Colour::Sky,
+        Colour::Purple,
+        Colour::Grey,
+    ];
+    for ((name, by_horizon), colour) in files.iter().zip(colours.iter().cycle()) {
+        let mut runs: Vec<(f64, &PulseFile)> =
+            by_horizon.iter().filter_map(|(key, run)| Some((key.parse().ok()?, run))).collect();
+        runs.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let x: Vec<f64> = runs.iter().map(|(horizon, _)| *horizon).collect();
+        let of = |value: fn(&PulseFile) -> Option<f64>| -> Vec<f64> {
+            runs.iter().map(|(_, run)| value(run).unwrap_or(f64::NAN)).collect()
+        };
+        error = error.series(Series::line(
+            name,
+            x.clone(),
+            of(|run| run.nrmse).into_iter().map(|e| 100.0 * e).collect(),
+            *colour,
+        ));
+        lag = lag.series(Series::line(name, x, of(|run| run.lag_ms), *colour));
+    }
+    (!files.is_empty()).then(|| {
+        Figure::new("pulse-horizon", "Error of recorded pulses against the horizon")
+            .caption(
+                "Displacement mode, best controller. The horizon is how far ahead the pulse is known, that is, how long the doctor's side \
+                 holds it back; at 0 ms the feedforward extrapolates.",
+            )
+            .shared_x()
+            .panel(error)
+            .panel(lag)
+    })
 }

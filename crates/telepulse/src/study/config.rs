@@ -275,6 +275,12 @@ pub struct Pulse {
     pub plate_radius_mm: f64,
     /// How long the doctor's side holds the pulse back.
     pub playout_delay_s: f64,
+    /// More recordings that the best controller follows, each a CSV as above.
+    #[serde(default)]
+    pub files: Vec<PathBuf>,
+    /// How far ahead it knows them, one run for each.
+    #[serde(default)]
+    pub horizons_s: Vec<f64>,
 }
 
 impl Polynomials {
@@ -509,7 +515,19 @@ impl Study {
         within("pulse.peak_to_peak_pa", self.pulse.peak_to_peak_pa, 1.0, 1e5)?;
         within("pulse.pa_per_mm", self.pulse.pa_per_mm, 1.0, 1e6)?;
         within("pulse.plate_radius_mm", self.pulse.plate_radius_mm, 0.1, 100.0)?;
-        within("pulse.playout_delay_s", self.pulse.playout_delay_s, 0.0, 10.0)
+        within("pulse.playout_delay_s", self.pulse.playout_delay_s, 0.0, 10.0)?;
+        for &horizon_s in &self.pulse.horizons_s {
+            within("pulse.horizons_s", horizon_s, 0.0, self.pulse.playout_delay_s)?;
+        }
+        let mut stems: Vec<_> = self.pulse.files.iter().map(|file| file.file_stem()).collect();
+        stems.sort_unstable();
+        if let Some(pair) = stems.windows(2).find(|pair| pair[0] == pair[1]) {
+            bail!(
+                "key `pulse.files`: found {:?} twice, allowed once: the report names recordings by their file stem",
+                pair[0]
+            );
+        }
+        Ok(())
     }
 }
 

@@ -10,6 +10,7 @@ pub mod identify;
 pub mod judge;
 pub mod models;
 pub mod outcome;
+pub mod pulse_files;
 pub mod recipes;
 pub mod run;
 pub mod trace;

@@ -7,6 +7,8 @@ use telepulse_actuator::ParameterSet;
 use telepulse_actuator::twin::Fidelity;
 
 use super::config::SensorChoice;
+use super::grey_box::NonlinearModel;
+use super::pulse_files::PulseFiles;
 
 /// Everything a study found. The keys are read by others: add, never rename.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -32,6 +34,9 @@ pub struct Outcome {
     pub identified_magnitude_only: Identified,
     /// The model with the square of the voltage as input.
     pub identified_square_root: Identified,
+    /// The nonlinear model that the feedforward inverts; absent in reports of earlier versions.
+    #[serde(default)]
+    pub nonlinear_model: Option<NonlinearModel>,
     /// Synthesis on the printed plant and weights.
     pub synthesis: Synthesis,
     /// Synthesis on the identified plant.
@@ -54,6 +59,9 @@ pub struct Outcome {
     pub bias_sweep: Vec<BiasPoint>,
     /// By controller, then mode.
     pub pulse: BTreeMap<String, BTreeMap<String, PulseReplay>>,
+    /// Other recordings, followed by the best controller: by file stem, then horizon in ms.
+    #[serde(default)]
+    pub pulse_files: PulseFiles,
     /// Spectrum of the pulse.
     pub pulse_spectrum: Spectrum,
     /// Transmission.

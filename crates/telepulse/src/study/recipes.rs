@@ -201,6 +201,21 @@ fn flat_settings(study: &Study, model: &PlantModel, motion: &GreyBoxModel) -> Re
     })
 }
 
+/// The best controller with a feedforward for another horizon.
+///
+/// # Errors
+/// Where no feedforward can be designed for it.
+pub fn at_horizon(
+    best: &ControllerRecipe,
+    motion: &GreyBoxModel,
+    horizon_s: f64,
+) -> Result<ControllerRecipe> {
+    let settings = best.settings();
+    let options = SmootherOptions { horizon_s: horizon_s.min(HORIZON_MAX_S), ..SmootherOptions::default() };
+    let flat = FlatFeedforward::new(motion, settings.sample_time_s, &options, settings.flat_drive())?;
+    Ok(best.with_feedforward(Some(Feedforward::Flat(Box::new(flat))))?)
+}
+
 /// Beyond this a longer horizon makes no difference that could be measured.
 const HORIZON_MAX_S: f64 = 0.2;
 

@@ -15,8 +15,10 @@ use super::config::{SensorChoice, Study};
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
 use super::drawings;
+use super::grey_box::NonlinearModel;
 use super::models::{self, Models};
 use super::outcome::{Assumption, CertificateSummary, Device, Outcome, Printed, StepOutcome, Tracking};
+use super::pulse_files::{self, PulseFiles};
 use super::recipes::{self, Recipes};
 use super::tracking::{self, CONDITIONS, LaserNoise, Step, Tracked};
 use super::transmission::{self, Transmitted};
@@ -52,7 +54,7 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     // A study that cannot be transmitted is refused before hours of a real rig are spent on it.
     recording::read(&study.path(&study.pulse.recording))?;
     let staged = StagedFolder::beside(folder)?;
-    let bar = progress_bar();
+    let bar = progress_bar(study);
     bar.set_message("membrane and twin");
     let twin = device::twin_with_stated_error(study)?;
     bar.inc(1);
@@ -83,6 +85,7 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
             LaserNoise::AsAssumed,
             &|| bar.inc(1),
         )?,
+        pulse_files: pulse_files(study, &twin, &models, &recipes, &|| bar.inc(1))?,
     };
     let steps = [
         ("the study's device", tracking::step(study, study.actuator.parameter_set)?),
@@ -100,19 +103,40 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
     Ok(Finished { outcome, folder })
 }
 
-/// Steps of the progress bar: twin, sweeps, design, tracking runs, link.
-const N_STEPS: u64 = 1 + models::N_SWEEPS + 1 + 20 + 20 + 1;
+/// Steps of the progress bar: twin, sweeps, design, tracking runs, link, recordings.
+fn n_steps(study: &Study) -> u64 {
+    let n_recorded = study.pulse.files.len() * study.pulse.horizons_s.len();
+    1 + models::N_SWEEPS + 1 + 20 + 20 + 1 + n_recorded as u64
+}
+
+/// The recordings of the study, followed; at field level a recording of minutes would take an hour, so there are none.
+fn pulse_files(
+    study: &Study,
+    twin: &TwinModel,
+    models: &Models,
+    recipes: &Recipes,
+    done: &(dyn Fn() + Sync),
+) -> Result<PulseFiles> {
+    let best = recipes.displacement.iter().find(|(name, _)| name == "best");
+    match best {
+        Some((_, best)) if study.actuator.fidelity == Fidelity::Reduced => {
+            pulse_files::follow_all(study, twin, best, &models.motion.model, done)
+        }
+        _ => Ok(PulseFiles::new()),
+    }
+}
 
 /// What was run while the link was at work.
 struct Runs {
     table_1: Vec<Tracked>,
     laser_noise: Vec<Tracked>,
+    pulse_files: PulseFiles,
 }
 
-fn progress_bar() -> ProgressBar {
+fn progress_bar(study: &Study) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:32} {pos:>2}/{len} {msg} [{elapsed}]")
         .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(N_STEPS).with_style(style)
+    ProgressBar::new(n_steps(study)).with_style(style)
 }
 
 /// Models, sweeps and recipes as files: what a later stage, or a user, starts from.
@@ -126,6 +150,7 @@ fn write_inputs_of_later_stages(
     for (name, model) in models::MODEL_FILES.iter().zip(models.plants(study)?) {
         json(name, serde_json::to_vec_pretty(&model)?)?;
     }
+    json("identify/model_nonlinear.json", serde_json::to_vec_pretty(&models.motion.model)?)?;
     for (name, record) in models.sweeps() {
         artefact::write_file(&folder.join(name), record.to_csv().as_bytes())?;
     }
@@ -188,6 +213,7 @@ fn assemble(
         identified: models.voltage.summary(),
         identified_magnitude_only: models.voltage.magnitude_only_summary()?,
         identified_square_root: models.square_root.summary(),
+        nonlinear_model: Some(NonlinearModel::of(&models.motion)),
         synthesis: own.summary.clone(),
         synthesis_identified: recipes.hinf.summary.clone(),
         synthesis_best: recipes.best.summary.clone(),
@@ -204,6 +230,7 @@ fn assemble(
         tracking_laser_noise: by_controller(&runs.laser_noise),
         bias_sweep: recipes.bias_points.clone(),
         pulse: BTreeMap::new(),
+        pulse_files: runs.pulse_files.clone(),
         pulse_spectrum,
         link: transmitted.link.clone(),
         disagreements: list,
@@ -226,6 +253,7 @@ fn assemble(
     figures_drawn.extend(drawings::tracking_figures(&runs.table_1));
     figures_drawn.extend(pulse_figures);
     figures_drawn.extend(drawings::replay_figures(transmitted));
+    figures_drawn.extend(figures::pulse_files(&outcome.pulse_files));
     Ok((outcome, figures_drawn))
 }
 
@@ -347,6 +375,7 @@ fn judge_printed(
 
 fn inputs(study: &Study) -> Result<BTreeMap<String, String>> {
     let mut paths = vec![study.file.clone(), study.path(&study.pulse.recording)];
+    paths.extend(study.pulse.files.iter().map(|path| study.path(path)));
     paths.extend(study.identify.sweep_csv.as_ref().map(|path| study.path(path)));
     paths
         .into_iter()
