@@ -45,6 +45,8 @@ pub struct CreepBranch {
 #[serde(try_from = "PlainModel", into = "PlainModel")]
 pub struct GreyBoxModel {
     plain: PlainModel,
+    /// Coefficient of `x^i w^j` at `[j][i]`.
+    table: [[f64; POWERS]; POWERS],
 }
 
 /// [`GreyBoxModel`] before its check.
@@ -84,9 +86,7 @@ impl GreyBoxModel {
         branches: Vec<CreepBranch>,
         displacement_max_mm: f64,
     ) -> Result<Self> {
-        let plain = PlainModel { rc_s, damping_per_s, terms, branches, displacement_max_mm };
-        check(&plain)?;
-        Ok(Self { plain })
+        Self::try_from(PlainModel { rc_s, damping_per_s, terms, branches, displacement_max_mm })
     }
 
     /// Time constant of the circuit, s.
@@ -124,16 +124,11 @@ impl GreyBoxModel {
     #[must_use]
     pub fn pull(&self, x: f64, w: f64) -> [f64; 3] {
         let mut out = [0.0; 3];
-        for term in &self.plain.terms {
-            let (i, j) = (i32::from(term.displacement_power), i32::from(term.drive_power));
-            let (xi, wj) = (x.powi(i), w.powi(j));
-            out[0] += term.coefficient * xi * wj;
-            if i > 0 {
-                out[1] += term.coefficient * f64::from(i) * x.powi(i - 1) * wj;
-            }
-            if j > 0 {
-                out[2] += term.coefficient * f64::from(j) * xi * w.powi(j - 1);
-            }
+        for row in self.table.iter().rev() {
+            let (value, slope) = horner(row, x);
+            out[2] = out[2] * w + out[0];
+            out[0] = out[0] * w + value;
+            out[1] = out[1] * w + slope;
         }
         out
     }
@@ -144,24 +139,26 @@ impl GreyBoxModel {
     /// record was taken.
     #[must_use]
     pub fn drive_for(&self, x: f64, acceleration: f64, allowed: [f64; 2]) -> f64 {
+        let in_drive = self.table.map(|row| horner(&row, x).0);
+        let pull = |w: f64| horner(&in_drive, w);
         let [mut low, mut high] = allowed;
-        if self.pull(x, low)[0] >= acceleration {
+        if pull(low).0 >= acceleration {
             return low;
         }
-        if self.pull(x, high)[0] <= acceleration {
+        if pull(high).0 <= acceleration {
             return high;
         }
-        let mut w = 0.5 * (low + high);
+        let mut w = ((acceleration - in_drive[0]) / in_drive[1]).clamp(low, high);
         for _ in 0..BISECTIONS {
-            let [pull, _, slope] = self.pull(x, w);
-            if pull < acceleration {
+            let (value, slope) = pull(w);
+            if value < acceleration {
                 low = w;
             } else {
                 high = w;
             }
-            let newton = w - (pull - acceleration) / slope;
-            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
-            if (next - w).abs() <= 1e-15 * (allowed[1] - allowed[0]) {
+            let newton = w - (value - acceleration) / slope;
+            let next = if newton >= low && newton <= high { newton } else { 0.5 * (low + high) };
+            if (next - w).abs() <= 1e-14 * (allowed[1] - allowed[0]) {
                 return next;
             }
             w = next;
@@ -227,6 +224,18 @@ impl GreyBoxModel {
     }
 }
 
+/// Value and slope of a polynomial, coefficients by rising power.
+fn horner(coefficients: &[f64; POWERS], x: f64) -> (f64, f64) {
+    let (mut value, mut slope) = (0.0, 0.0);
+    for coefficient in coefficients.iter().rev() {
+        slope = slope * x + value;
+        value = value * x + coefficient;
+    }
+    (value, slope)
+}
+
+/// Powers of displacement and of drive, 0 to 3.
+const POWERS: usize = 4;
 /// Most branches of a model.
 pub(crate) const BRANCHES_MAX: usize = 4;
 /// Halvings that exhaust a double.
@@ -256,7 +265,9 @@ fn check(plain: &PlainModel) -> Result<()> {
     }
     for term in &plain.terms {
         let (i, j) = (term.displacement_power, term.drive_power);
-        rules.push(("coefficient", term.coefficient, i + j > 0, "of a term with x or w"));
+        rules.push(("coefficient", term.coefficient, i > 0 || j > 0, "of a term with x or w"));
+        let power = i.max(j);
+        rules.push(("power of a term", f64::from(power), usize::from(power) < POWERS, "0 to 3"));
     }
     let n_branches = plain.branches.len();
     rules.push(("number of branches", n_branches as f64, n_branches <= BRANCHES_MAX, "0 to 4"));
@@ -277,6 +288,92 @@ impl TryFrom<PlainModel> for GreyBoxModel {
 
     fn try_from(plain: PlainModel) -> Result<Self> {
         check(&plain)?;
-        Ok(Self { plain })
+        let mut table = [[0.0; POWERS]; POWERS];
+        for term in &plain.terms {
+            table[usize::from(term.drive_power)][usize::from(term.displacement_power)] += term.coefficient;
+        }
+        Ok(Self { plain, table })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> GreyBoxModel {
+        let term = |i, j, coefficient| PullTerm { displacement_power: i, drive_power: j, coefficient };
+        let terms = vec![
+            term(1, 0, -1425.0),
+            term(0, 1, 1300.0),
+            term(2, 0, -13.0),
+            term(1, 1, 190.0),
+            term(0, 3, -1.0),
+            term(2, 1, 3.0),
+        ];
+        let branch = CreepBranch { stiffness_per_s2: 22.0, relaxation_time_s: 0.6 };
+        GreyBoxModel::new(0.0045, 15.9, terms, vec![branch], 1.0).expect("valid")
+    }
+
+    #[test]
+    fn law_pull_and_its_derivatives_are_those_of_the_polynomial() {
+        let (x, w) = (0.7_f64, 0.4_f64);
+        let [pull, by_x, by_w] = model().pull(x, w);
+        let expected = -1425.0 * x + 1300.0 * w - 13.0 * x * x + 190.0 * x * w - w.powi(3) + 3.0 * x * x * w;
+        assert!((pull - expected).abs() < 1e-10);
+        assert!((by_x - (-1425.0 - 26.0 * x + 190.0 * w + 6.0 * x * w)).abs() < 1e-10);
+        assert!((by_w - (1300.0 + 190.0 * x - 3.0 * w * w + 3.0 * x * x)).abs() < 1e-10);
+    }
+
+    #[test]
+    fn law_the_drive_gives_the_acceleration_or_ends_at_its_range() {
+        let model = model();
+        for x in [0.0, 0.3, 0.9] {
+            for acceleration in [-500.0, 0.0, 100.0, 250.0] {
+                let w = model.drive_for(x, acceleration, [0.0, 4.0]);
+                let reached = model.pull(x, w)[0];
+                let low_end = w == 0.0 && reached >= acceleration;
+                assert!(
+                    low_end || (reached - acceleration).abs() < 1e-9,
+                    "{x} {acceleration}: {w} {reached}"
+                );
+            }
+            assert_eq!(model.drive_for(x, 1e6, [0.0, 4.0]), 4.0);
+            assert!(model.drive_for(x, -3000.0, [-4.0, 4.0]) < 0.0);
+        }
+    }
+
+    #[test]
+    fn law_a_held_voltage_settles_where_the_pull_is_zero() {
+        let model = model();
+        let mut state = model.at_rest();
+        for _ in 0..40_000 {
+            model.advance(&mut state, 0.6, 5e-4);
+        }
+        // 20 s are 33 relaxation times: the branch is relaxed.
+        let left = model.pull(state.displacement_mm, 0.36)[0];
+        assert!(left.abs() < 1e-6 && state.velocity_mm_per_s.abs() < 1e-9, "{left}");
+        assert!((state.branches_mm[0] - state.displacement_mm).abs() < 1e-9);
+    }
+
+    #[test]
+    fn edge_models_of_no_plate_are_refused() {
+        let good = model();
+        let with = |rc_s, damping, terms: &[PullTerm], branches: &[CreepBranch]| {
+            GreyBoxModel::new(rc_s, damping, terms.to_vec(), branches.to_vec(), 1.0)
+                .expect_err("refused")
+                .to_string()
+        };
+        assert!(with(0.0, 1.0, good.terms(), good.branches()).contains("rc_s"));
+        assert!(with(0.01, -1.0, good.terms(), good.branches()).contains("damping_per_s"));
+        let mut pushed = good.terms().to_vec();
+        pushed[0].coefficient = 10.0;
+        assert!(with(0.01, 1.0, &pushed, &[]).contains("coefficient of x"));
+        let mut high = good.terms().to_vec();
+        high[2].displacement_power = 4;
+        assert!(with(0.01, 1.0, &high, &[]).contains("power of a term"));
+        let slow = CreepBranch { stiffness_per_s2: 1.0, relaxation_time_s: 0.0 };
+        assert!(with(0.01, 1.0, good.terms(), &[slow]).contains("relaxation_time_s"));
+        let text = serde_json::to_string(&good).expect("writes");
+        assert_eq!(serde_json::from_str::<GreyBoxModel>(&text).expect("reads"), good);
     }
 }
