@@ -37,7 +37,7 @@ pub struct MuUpper {
 /// **Accuracy**: `1e-9` relative above the least bound. The least bound equals the structured singular value for
 /// `2 S + F <= 3` (S repeated complex scalars, F full blocks, none real); otherwise it lies above. Where the infimum needs
 /// infinite scales the bound is approached: to `1e-8` for a block triangular `m`, to about `1e-7` of the largest singular
-/// value for a defective `m` with one repeated scalar.
+/// value for a defective `m` with one repeated scalar, to 1e-5 where both come together.
 ///
 /// **Errors**: [`telepulse_lti::Error::Shape`], [`telepulse_lti::Error::NotFinite`]; [`Error::MuNotProven`] where rounding
 /// spoils every proof.
@@ -75,25 +75,37 @@ pub(super) fn upper_bound_below(
     let m = &m.map(|v| v / size);
     let norms = block_norms(m, structure);
     let components = strong_components(&norms);
-    let mut bound = if components.len() == 1 {
-        irreducible(m, structure, &norms, enough / size)
-    } else {
-        reducible(m, structure, &norms, &components, enough / size)
-    };
     let unscaled = Lmi::new(structure, m.as_slice().to_vec());
-    // The level was confirmed for the balanced matrix; a few ulps may be missing for the original one.
-    let mut margin = 4.0 * n_z.max(n_w) as f64 * f64::EPSILON;
-    let start = bound.value;
-    while !bound.scalings.hold_in(&unscaled, n_w, bound.value) {
-        if margin > MARGIN_MAX {
-            return Err(Error::MuNotProven { level: bound.value * size });
+    let mut enough = enough / size;
+    // A nilpotent part has no least bound but zero, and scales that go to infinity on the way there: where rounding spoils the proof,
+    // a larger bound with milder scales is the answer.
+    let shares = if components.len() == 1 { &COUPLING_SHARES[..1] } else { &COUPLING_SHARES[..] };
+    for _ in 0..CONTENT_STEPS_MAX {
+        let mut start = 0.0;
+        for &share in shares {
+            let mut bound = if components.len() == 1 {
+                irreducible(m, structure, &norms, enough)
+            } else {
+                reducible(m, structure, &norms, &components, (enough, share))
+            };
+            // The level was confirmed for the balanced matrix; a few ulps may be missing for the original one.
+            let mut margin = 4.0 * n_z.max(n_w) as f64 * f64::EPSILON;
+            start = bound.value;
+            let mut holds = bound.scalings.hold_in(&unscaled, n_w, bound.value);
+            while !holds && margin <= MARGIN_MAX {
+                bound.value = start * (1.0 + margin);
+                margin *= 4.0;
+                holds = bound.scalings.hold_in(&unscaled, n_w, bound.value);
+            }
+            if holds {
+                bound.value *= size;
+                bound.scalings.g.iter_mut().for_each(|g| g.apply(|v| *v *= size));
+                return Ok(bound);
+            }
         }
-        bound.value = start * (1.0 + margin);
-        margin *= 4.0;
+        enough = CONTENT_RATIO * enough.max(start);
     }
-    bound.value *= size;
-    bound.scalings.g.iter_mut().for_each(|g| g.apply(|v| *v *= size));
-    Ok(bound)
+    Err(Error::MuNotProven { level: enough * size })
 }
 
 /// The bound of a matrix whose blocks all influence each other.
@@ -156,7 +168,7 @@ fn reducible(
     structure: &BlockStructure,
     norms: &DMatrix<f64>,
     components: &[Vec<usize>],
-    enough: f64,
+    (enough, coupling_share): (f64, f64),
 ) -> MuUpper {
     let placed: Vec<_> = structure.placed().collect();
     let mut whole = MuUpper {
@@ -209,7 +221,7 @@ fn reducible(
         for &i in &done {
             for &j in component {
                 let coupling = norms[(i, j)] / whole.value;
-                let needed = d_norm(i, &whole.scalings) * coupling * coupling / (own * COUPLING_SHARE);
+                let needed = d_norm(i, &whole.scalings) * coupling * coupling / (own * coupling_share);
                 factor = f64::max(factor, needed.min(FACTOR_MAX));
             }
         }
@@ -317,10 +329,14 @@ const VALUE_FLOOR: f64 = 1e-8;
 const MARGIN_MAX: f64 = 1e-3;
 /// What a block triangular matrix pays for finite scales, relative.
 const REDUCIBLE_MARGIN: f64 = 1e-8;
-/// Share of the squared level up to which the coupling of two components counts as negligible.
-const COUPLING_SHARE: f64 = 1e-10;
+/// Share of the squared level up to which the coupling of two components counts as negligible; the smaller ones where a component's own
+/// proof has next to no room.
+const COUPLING_SHARES: [f64; 4] = [1e-10, 1e-30, 1e-60, 1e-100];
 /// Keeps the scales of the components within the range of floating point.
 const FACTOR_MAX: f64 = 1e200;
 const BALANCE_SWEEPS: usize = 30;
+/// Steps towards larger bounds where none is proven, each by this ratio: from the floor to beyond the largest singular value.
+const CONTENT_STEPS_MAX: usize = 30;
+const CONTENT_RATIO: f64 = 4.0;
 /// Scales are kept within this and its inverse.
 const SCALE_MIN: f64 = 1e-140;

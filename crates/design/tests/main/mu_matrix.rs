@@ -359,3 +359,30 @@ fn edge_matrices_that_have_no_answer_or_a_trivial_one() {
     let graded = DMatrix::from_row_slice(2, 2, &[1.0, 1e100, 1e-100, 1.0].map(|v| Complex64::new(v, 0.0)));
     assert_close(bounds(&graded, &s).upper.value, 2.0, 1e-8, "graded");
 }
+
+#[test]
+fn regress_a_strictly_triangular_matrix_with_real_blocks_has_its_small_bound() {
+    // Its structured singular value is zero; the scales that prove less and less go to infinity, and rounding spoiled the proof
+    // where a repeated block was among them.
+    let upper = |n: usize, entry: f64, seed: u64| {
+        let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+        DMatrix::from_fn(n, n, |i, j| {
+            let v = if j > i { entry.powf(rng.random_range(-1.0..=1.0)) } else { 0.0 };
+            Complex64::new(v, 0.0)
+        })
+    };
+    let real = |size| Block::RepeatedReal { size };
+    let one = Block::Full { rows: 1, cols: 1 };
+    for seed in 0..40 {
+        for blocks in [vec![real(2), one], vec![real(2), real(2)], vec![real(1); 4], vec![real(3), one, one]]
+        {
+            let s = BlockStructure::new(blocks).expect("blocks");
+            let m = upper(s.n_w(), 10.0, seed);
+            let norm = m.singular_values().max();
+            let bounds = mu_bounds(&m, &s, &MuLowerOptions::default()).expect("a bound");
+            assert_eq!(bounds.lower.value, 0.0, "seed {seed}");
+            assert!(bounds.upper.scalings.prove(&m, &s, bounds.upper.value).expect("fits"), "seed {seed}");
+            assert!(bounds.upper.value < 1e-3 * norm, "seed {seed} {s:?}: {} of {norm}", bounds.upper.value);
+        }
+    }
+}
