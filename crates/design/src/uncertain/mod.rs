@@ -12,6 +12,7 @@ mod mu_bounds;
 mod mu_lower;
 mod mu_peak;
 mod mu_upper;
+mod real_crossing;
 mod scalings;
 mod structure;
 mod system;

@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use telepulse_lti::{Continuous, StateSpace, hinf_norm};
 
 use super::interpolate::with_performance;
-use super::mu_peak::{MuPeak, check_tolerance, mu_peak};
+use super::mu_peak::{Aim, MuPeak, check_tolerance, mu_peak, peak_above};
 use super::structure::{BlockStructure, Perturbation};
 use crate::Error;
 
@@ -102,9 +102,14 @@ impl UncertainSystem {
     ///
     /// **Errors**: as [`mu_peak`].
     pub fn robust_stability_margin(&self, tolerance: f64) -> Result<RobustMargin, Error> {
+        margin(mu_peak(&self.uncertain_part()?, &self.structure, tolerance)?)
+    }
+
+    /// `M` between the ports of its blocks.
+    fn uncertain_part(&self) -> Result<StateSpace<Continuous>, Error> {
         let outputs: Vec<usize> = (0..self.structure.n_z()).collect();
         let inputs: Vec<usize> = (0..self.structure.n_w()).collect();
-        margin(mu_peak(&self.m.select(&outputs, &inputs)?, &self.structure, tolerance)?)
+        Ok(self.m.select(&outputs, &inputs)?)
     }
 
     /// The largest `k` for which every perturbation smaller than `k` leaves the gain from `w` to `z` below `1 / k`.
@@ -130,7 +135,9 @@ impl UncertainSystem {
         let zero =
             StateSpace::<Continuous>::from_gain(DMatrix::zeros(self.structure.n_w(), self.structure.n_z()))?;
         let mut worst = WorstCaseGain { upper: f64::INFINITY, lower: nominal, delta: zero, omega_rad_s: 0.0 };
-        if self.robust_stability_margin(tolerance * 0.1)?.lower <= 1.0 {
+        let stability =
+            peak_above(&self.uncertain_part()?, &self.structure, tolerance * 0.1, BELOW_ONE, Aim::Test)?;
+        if stability.upper >= 1.0 {
             return Ok(worst);
         }
         let structure = self.whole_structure()?;
@@ -138,9 +145,9 @@ impl UncertainSystem {
         let mut is_bounded = false;
         for _ in 0..GAIN_STEPS_MAX {
             let gamma = if is_bounded { low.sqrt() * high.sqrt() } else { high };
-            let peak = mu_peak(&self.scaled(gamma)?, &structure, tolerance * 0.1)?;
+            let peak = peak_above(&self.scaled(gamma)?, &structure, tolerance * 0.1, BELOW_ONE, Aim::Test)?;
             self.improve(&peak, &mut worst)?;
-            if peak.upper <= 1.0 {
+            if peak.upper < 1.0 {
                 (high, is_bounded) = (gamma, true);
                 worst.upper = gamma;
                 low = low.max(worst.lower.min(high));
@@ -188,3 +195,5 @@ fn margin(peak: MuPeak) -> Result<RobustMargin, Error> {
 }
 
 const GAIN_STEPS_MAX: usize = 60;
+/// The level whose proof shows that the structured singular value is below one.
+const BELOW_ONE: f64 = 1.0 - 1e-9;
