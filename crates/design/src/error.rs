@@ -629,6 +629,60 @@ pub enum Error {
         /// Number of the block, from zero.
         index: usize,
     },
+    /// The ends of a parameter do not make a range.
+    #[error("parameter `{name}` must have finite ends, the lower below the upper, found {lower} and {upper}")]
+    ParameterRange {
+        /// The parameter.
+        name: String,
+        /// Lower end found.
+        lower: f64,
+        /// Upper end found.
+        upper: f64,
+    },
+    /// There are more or fewer values, or systems, than parameters.
+    #[error("expected one entry for each of {expected} parameters, found {found}")]
+    ParameterCount {
+        /// Parameters.
+        expected: usize,
+        /// Entries found.
+        found: usize,
+    },
+    /// A parameter changes how many states, inputs or outputs a system has.
+    #[error("states, inputs and outputs must not change in number with parameter `{parameter}`")]
+    ParameterShape {
+        /// The parameter, or those that were moved together.
+        parameter: String,
+    },
+    /// A model is not affine in its parameters.
+    #[error(
+        "E, A, B, C, D must be affine in `{parameter}` to {allowed:e}, found a relative deviation of {deviation:e} at {values:?}: take the product or quotient as a parameter of its own, or a mass into E"
+    )]
+    NotAffine {
+        /// The parameter, or those that were moved together.
+        parameter: String,
+        /// Their values there.
+        values: Vec<f64>,
+        /// Largest deviation of an entry, relative to its size.
+        deviation: f64,
+        /// Largest deviation allowed.
+        allowed: f64,
+    },
+    /// Nothing changes with a parameter.
+    #[error("parameter `{parameter}` must have an effect on the system, found none beyond rounding")]
+    ParameterWithoutEffect {
+        /// The parameter.
+        parameter: String,
+    },
+    /// The matrix of the derivatives has no inverse.
+    #[error(
+        "E must be invertible with the parameters at their centres, found scaled singular values from {smallest:e} to {largest:e}"
+    )]
+    SingularDescriptor {
+        /// Smallest singular value of the scaled matrix.
+        smallest: f64,
+        /// Largest one.
+        largest: f64,
+    },
     /// Rounding spoils every proof of an upper bound of the structured singular value.
     #[error("the upper bound {level:e} of the structured singular value cannot be proven within rounding")]
     MuNotProven {

@@ -11,6 +11,7 @@ mod implementation;
 mod loop_synthesis;
 mod mu_matrix;
 mod mu_system;
+mod parametric;
 mod printed;
 mod synthesis;
 mod synthesis_laws;
