@@ -82,8 +82,7 @@ pub(super) fn solve(e: &DMatrix<f64>, right: &DMatrix<f64>) -> Result<DMatrix<f6
     let singular = scaled.singular_values();
     let (largest, smallest) = (singular.max(), singular.min());
     let refused = Error::SingularDescriptor { smallest, largest };
-    // Not by `<=`: a singular value that is not a number is refused, too.
-    if !(smallest > 8.0 * n as f64 * f64::EPSILON * largest) {
+    if smallest.is_nan() || smallest <= 8.0 * n as f64 * f64::EPSILON * largest {
         return Err(refused);
     }
     let scaled_right = DMatrix::from_fn(n, right.ncols(), |i, j| right[(i, j)] * rows[i]);

@@ -98,7 +98,7 @@ fn along(
     let size = response.nrows();
     let distance = DMatrix::identity(size, size) - response * perturbation.matrix(structure)?;
     let residual = distance.singular_values().min();
-    if !(residual < RESIDUAL_MAX) {
+    if residual.is_nan() || residual >= RESIDUAL_MAX {
         return Ok(None);
     }
     let lower = MuLower { value: 1.0 / perturbation.norm(), perturbation: Some(perturbation), residual };
