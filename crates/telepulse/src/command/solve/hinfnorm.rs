@@ -66,9 +66,7 @@ impl SystemParts {
 
     /// The same with numbers of inputs and outputs that something else tells.
     pub(super) fn read_with_ports(file: &ProblemFile, m: Size, p: Size) -> Result<Self> {
-        let n = file.size("n")?;
-        let a = file.matrix("A", n, n)?;
-        let n = Size { value: Some(a.nrows()), ..n };
+        let (a, n) = file.state_count(&[])?;
         let b = match file.optional_matrix("B", n, m)? {
             Some(b) => b,
             None => return Err(file.complaint("B", "is missing")),

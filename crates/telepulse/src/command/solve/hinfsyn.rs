@@ -245,14 +245,36 @@ impl Sizes {
 fn options(file: &ProblemFile) -> Result<HinfOptions> {
     let typed = file.options(&OPTIONS)?;
     let default = HinfOptions::default();
-    let number = |key: &str, default: f64| -> Result<f64> { Ok(typed.number(key)?.unwrap_or(default)) };
+    let positive = |key: &str| typed.number_in(key, "a positive number", |v| v > 0.0);
+    let backoff = typed.number_in("backoff", "a number above 1", |v| v > 1.0)?.unwrap_or(default.backoff);
+    let relaxation_max = match typed.number("relaxation_max")? {
+        None if backoff > default.relaxation_max => {
+            let what = format!(
+                "expected up to {} without `relaxation_max`, which must be as large at least, found {backoff}",
+                default.relaxation_max
+            );
+            return Err(typed.complaint("backoff", &what));
+        }
+        None => default.relaxation_max,
+        Some(found) if found < backoff => {
+            let what = format!("expected at least the `backoff`, {backoff}, found {found}");
+            return Err(typed.complaint("relaxation_max", &what));
+        }
+        Some(found) => found,
+    };
+    let max_controller_pole_rad_s = positive("max_controller_pole_rad_s")?;
+    if max_controller_pole_rad_s.is_some() && super::hinfnorm::sample_time(file)?.is_some() {
+        let what = "has no meaning with `dt`: the sample time bounds the poles already";
+        return Err(typed.complaint("max_controller_pole_rad_s", what));
+    }
+    let tolerance = typed.number_in("gamma_tolerance", "1e-12 to 0.1", |v| (1e-12..=0.1).contains(&v))?;
     Ok(HinfOptions {
-        backoff: number("backoff", default.backoff)?,
-        gamma_tolerance: number("gamma_tolerance", default.gamma_tolerance)?,
-        gamma_max: number("gamma_max", default.gamma_max)?,
-        max_controller_pole_rad_s: typed.number("max_controller_pole_rad_s")?,
-        max_controller_gain: typed.number("max_controller_gain")?,
-        relaxation_max: number("relaxation_max", default.relaxation_max)?,
+        backoff,
+        gamma_tolerance: tolerance.unwrap_or(default.gamma_tolerance),
+        gamma_max: positive("gamma_max")?.unwrap_or(default.gamma_max),
+        max_controller_pole_rad_s,
+        max_controller_gain: positive("max_controller_gain")?,
+        relaxation_max,
         singular: match typed.word("singular")? {
             None | Some("regularize") => SingularProblem::Regularize,
             Some("refuse") => SingularProblem::Refuse,

@@ -88,6 +88,56 @@ impl ProblemFile {
         anyhow!("in {}: key `{key}`: {what}", self.name)
     }
 
+    /// Refuses a key that is in none of the lists.
+    ///
+    /// # Errors
+    /// Names the first such key and the keys that have a meaning.
+    pub(super) fn refuse_unknown(&self, known: &[&str], free: &[&str]) -> Result<()> {
+        let is_known = |key: &str| known.contains(&key) || free.contains(&key);
+        match self.fields.keys().find(|key| !is_known(key)) {
+            None => Ok(()),
+            Some(key) => {
+                let (known, free) = (known.join(", "), free.join(", "));
+                Err(self.complaint(key, &format!("is unknown, expected one of {known} (free: {free})")))
+            }
+        }
+    }
+
+    /// `n`, or the rows of `A`; the message about another matrix then names where the size comes from.
+    ///
+    /// # Errors
+    /// About `A` where it is not square, or where all of the matrices named beside, two or more, have another number of rows in
+    /// common.
+    pub(super) fn state_count(&self, beside: &[&'static str]) -> Result<(DMatrix<f64>, Size)> {
+        let n = self.size("n")?;
+        let a = self.matrix("A", n, n)?;
+        let found = a.nrows();
+        let rows = |key: &&str| self.fields.get(*key).and_then(Value::as_array).map(Vec::len);
+        let others: Vec<usize> = beside.iter().filter_map(rows).collect();
+        if n.value.is_none() && others.len() >= 2 && others.iter().all(|&k| k == others[0] && k != found) {
+            let (k, keys) = (others[0], beside.iter().filter(|key| rows(key).is_some()));
+            let keys = keys.map(|key| format!("`{key}`")).collect::<Vec<_>>().join(" and ");
+            let what = format!("expected {k} x {k} as {keys} have {k} rows, found {found} x {found}");
+            return Err(self.complaint("A", &what));
+        }
+        let name = if n.value.is_some() { "n" } else { "n, by `A`" };
+        Ok((a, Size { name, value: Some(found) }))
+    }
+
+    /// A number, if it is there, that lies in a range given in words.
+    pub(super) fn number_in(
+        &self,
+        key: &str,
+        allowed: &str,
+        is_allowed: impl Fn(f64) -> bool,
+    ) -> Result<Option<f64>> {
+        let number = self.number(key)?;
+        match number.filter(|&number| !is_allowed(number)) {
+            None => Ok(number),
+            Some(found) => Err(self.complaint(key, &format!("expected {allowed}, found {found}"))),
+        }
+    }
+
     /// Keys that no call has asked for.
     pub(super) fn unread(&self) -> Vec<String> {
         let asked = self.asked.borrow();
@@ -193,10 +243,15 @@ impl ProblemFile {
     }
 
     fn parse_matrix(&self, key: &str, value: &Value, rows: Size, cols: Size) -> Result<DMatrix<f64>> {
-        let number = |entry: &Value, place: &str| {
-            entry.as_f64().filter(|number| number.is_finite()).ok_or_else(|| {
+        let number = |entry: &Value, place: &str| -> Result<f64> {
+            let finite = entry.as_f64().filter(|number| number.is_finite()).ok_or_else(|| {
                 self.complaint(key, &format!("{place}: expected a finite number, found {}", kind(entry)))
-            })
+            })?;
+            if finite.abs() > ENTRY_MAX {
+                let what = format!("{place}: expected a size of {ENTRY_MAX:e} at most, found {finite:e}");
+                return Err(self.complaint(key, &what));
+            }
+            Ok(finite)
         };
         let entries = match value {
             Value::Array(entries) => entries,
@@ -340,6 +395,8 @@ fn last_key_before(text: &str, line: usize, column: usize) -> Option<&str> {
 
 /// Largest size that a file may name; far beyond what can be solved, far below an overflow.
 const COUNT_MAX: u64 = 100_000;
+/// Largest entry of a matrix: products of three stay in the range of floating point.
+const ENTRY_MAX: f64 = 1e100;
 
 #[cfg(test)]
 mod tests {

@@ -22,7 +22,8 @@ pub(super) struct EquationAnswer {
     /// Poles of the closed loop that the solution gives, pairs of real and imaginary part; Riccati only.
     #[serde(skip_serializing_if = "Option::is_none")]
     closed_loop_poles: Option<Vec<[f64; 2]>>,
-    /// Norm of the equation's left-hand side over the sum of the norms of its terms.
+    /// Norm of the equation's left-hand side over the sum of the norms of its terms, both in the balanced coordinates in which the
+    /// equation was solved.
     residual_relative: Option<f64>,
     /// Estimate of the relative change of the solution over a relative change of the terms.
     condition: Option<f64>,
@@ -60,9 +61,7 @@ impl EquationAnswer {
 }
 
 pub(super) fn riccati(file: &ProblemFile) -> Result<EquationAnswer> {
-    let n = file.size("n")?;
-    let a = file.matrix("A", n, n)?;
-    let n = Size { value: Some(a.nrows()), ..n };
+    let (a, n) = file.state_count(&["Q", "B", "G"])?;
     let q = file.matrix("Q", n, n)?;
     let sample_time = super::hinfnorm::sample_time(file)?;
     if file.has("G") {
@@ -80,7 +79,7 @@ pub(super) fn riccati(file: &ProblemFile) -> Result<EquationAnswer> {
         };
     }
     let b = file.matrix("B", n, file.size("m")?)?;
-    let m = Size { name: "m", value: Some(b.ncols()) };
+    let m = Size { name: "m, by `B`", value: Some(b.ncols()) };
     let (r, s) = (file.matrix("R", m, m)?, file.matrix_or_zeros("S", n, m)?);
     let terms = Terms { a: &a, b: &b, q: &q, r: &r, s: Some(&s) };
     let watch = Watch::start();
@@ -102,9 +101,7 @@ pub(super) fn riccati(file: &ProblemFile) -> Result<EquationAnswer> {
 /// `A X + X A' + Q = 0`, or with `B` and `C` instead of `Q` the Sylvester equation `A X + X B + C = 0`; discrete:
 /// `A X A' - X + Q = 0`, `A X B - X + C = 0`.
 pub(super) fn lyapunov(file: &ProblemFile) -> Result<EquationAnswer> {
-    let n = file.size("n")?;
-    let a = file.matrix("A", n, n)?;
-    let n = Size { value: Some(a.nrows()), ..n };
+    let (a, n) = file.state_count(&[])?;
     let is_discrete = super::hinfnorm::sample_time(file)?.is_some();
     let (outcome, watch) = if file.has("B") {
         if file.has("Q") {

@@ -50,6 +50,7 @@ enum Problem {
 
 pub(super) fn run(typed: &SolveArguments, json: bool) -> Result<Verdict> {
     let file = ProblemFile::read(&typed.file)?;
+    file.refuse_unknown(typed.problem.keys(), &DESCRIPTIVE)?;
     match typed.problem {
         Problem::Hinfsyn => finish(json, &file, hinfsyn::solve(&file)?),
         Problem::Hinfnorm => finish(json, &file, hinfnorm::solve(&file)?),
@@ -69,14 +70,52 @@ trait Answer: Serialize {
 }
 
 fn finish<A: Answer>(json: bool, file: &ProblemFile, answer: A) -> Result<Verdict> {
-    let unread: Vec<String> =
-        file.unread().into_iter().filter(|key| !DESCRIPTIVE.contains(&key.as_str())).collect();
-    if !unread.is_empty() {
-        super::notify(&format!("telepulse: keys without a meaning here: {}", unread.join(", ")));
+    // A key of this problem, but not beside the others of the file.
+    if let Some(key) = file.unread().iter().find(|key| !DESCRIPTIVE.contains(&key.as_str())) {
+        return Err(file.complaint(key, "has no meaning beside the other keys of the file"));
     }
     super::answer(json, &answer, || answer.lines())?;
     Ok(if answer.status() == Status::Ok { Verdict::Done } else { Verdict::CheckFailed })
 }
 
-/// Keys that collections of problems carry to tell them apart.
-const DESCRIPTIVE: [&str; 6] = ["id", "name", "category", "source", "note", "comment"];
+impl Problem {
+    /// The keys that a file may have for it, besides [`DESCRIPTIVE`] ones.
+    fn keys(self) -> &'static [&'static str] {
+        match self {
+            Self::Hinfsyn => &[
+                "A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22", "n", "nw", "nu", "nz", "ny", "dt",
+                "options",
+            ],
+            Self::Hinfnorm => &["A", "B", "C", "D", "n", "m", "p", "dt"],
+            Self::Care => &["A", "B", "G", "Q", "R", "S", "n", "m", "dt"],
+            Self::Lyap => &["A", "B", "C", "Q", "n", "m", "dt"],
+            Self::Mu => &["A", "B", "C", "D", "M", "M_imaginary", "blocks", "n", "m", "p", "dt", "options"],
+            Self::Reduce => {
+                &["A", "B", "C", "D", "n", "m", "p", "dt", "input_weight", "output_weight", "options"]
+            }
+            Self::Pid => &["numerator", "denominator", "delay_s", "options"],
+        }
+    }
+}
+
+/// Keys that collections of problems carry to tell them apart and to judge answers by; they may hold anything.
+const DESCRIPTIVE: [&str; 18] = [
+    "id",
+    "name",
+    "category",
+    "source",
+    "note",
+    "comment",
+    "regular",
+    "gamma_ref",
+    "slicot",
+    "octave",
+    "exact",
+    "ref",
+    "grid_norm",
+    "grid_w",
+    "ab13dd_norm",
+    "ab13dd_w",
+    "ab13dd_err",
+    "max_re",
+];

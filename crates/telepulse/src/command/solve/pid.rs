@@ -47,8 +47,13 @@ const OPTIONS: [&str; 12] = [
 ];
 
 pub(super) fn solve(file: &ProblemFile) -> Result<PidAnswer> {
-    let delay_s = file.number("delay_s")?.unwrap_or(0.0);
-    let plant = DelayedPlant::new(transfer_function(file)?, delay_s)?;
+    let allowed = |v: f64| v == 0.0 || (1e-12..=1e12).contains(&v);
+    let delay_s = file.number_in("delay_s", "0, or 1e-12 to 1e12", allowed)?.unwrap_or(0.0);
+    let function = transfer_function(file)?;
+    if function.numerator().iter().all(|&v| v == 0.0) {
+        return Err(file.complaint("numerator", "expected a coefficient other than zero, found none"));
+    }
+    let plant = DelayedPlant::new(function, delay_s)?;
     let options = file.options(&OPTIONS)?;
     let method = Method::read(&options)?;
     if let Some(key) = options.unread().first() {
@@ -97,8 +102,8 @@ impl Method {
                 let terms = if has_derivative(typed)? { RuleTerms::Pid } else { RuleTerms::Pi };
                 let default = SimcOptions::default();
                 let options = SimcOptions {
-                    closed_loop_time_s: typed.number("closed_loop_time_s")?,
-                    filter_ratio: typed.number("filter_ratio")?.unwrap_or(default.filter_ratio),
+                    closed_loop_time_s: above(typed, "closed_loop_time_s", 0.0)?,
+                    filter_ratio: above(typed, "filter_ratio", 0.0)?.unwrap_or(default.filter_ratio),
                 };
                 Ok(Self::Simc(terms, options))
             }
@@ -108,7 +113,7 @@ impl Method {
     }
 
     fn read_maximum_integral_gain(typed: &ProblemFile) -> Result<Self> {
-        let structure = match (has_derivative(typed)?, typed.number("derivative_filter_rad_s")?) {
+        let structure = match (has_derivative(typed)?, above(typed, "derivative_filter_rad_s", 0.0)?) {
             (false, _) => PidStructure::Pi,
             (true, Some(n_rad_s)) => PidStructure::Pid { n_rad_s },
             (true, None) => {
@@ -118,9 +123,9 @@ impl Method {
         };
         let default = PidLimits::default();
         let limits = PidLimits {
-            ms_max: typed.number("ms_max")?.unwrap_or(default.ms_max),
-            mt_max: typed.number("mt_max")?.unwrap_or(default.mt_max),
-            ks_max: typed.number("ks_max")?,
+            ms_max: above(typed, "ms_max", 1.0)?.unwrap_or(default.ms_max),
+            mt_max: above(typed, "mt_max", 1.0)?.unwrap_or(default.mt_max),
+            ks_max: above(typed, "ks_max", 0.0)?,
             ws: typed
                 .part("ws", &["numerator", "denominator"])?
                 .map(|ws| transfer_function(&ws))
@@ -151,10 +156,12 @@ impl Method {
         };
         let default = MarginTarget::default();
         let target = MarginTarget {
-            crossover_rad_s: typed.number("crossover_rad_s")?,
-            phase_margin_deg: typed.number("phase_margin_deg")?.unwrap_or(default.phase_margin_deg),
-            filter_ratio: typed.number("filter_ratio")?.unwrap_or(default.filter_ratio),
-            ms_max: typed.number("ms_max")?.unwrap_or(default.ms_max),
+            crossover_rad_s: above(typed, "crossover_rad_s", 0.0)?,
+            phase_margin_deg: typed
+                .number_in("phase_margin_deg", "between 0 and 180", |v| v > 0.0 && v < 180.0)?
+                .unwrap_or(default.phase_margin_deg),
+            filter_ratio: above(typed, "filter_ratio", 1.0)?.unwrap_or(default.filter_ratio),
+            ms_max: above(typed, "ms_max", 1.0)?.unwrap_or(default.ms_max),
             focus,
         };
         Ok(Self::PhaseMargin(terms, target))
@@ -201,6 +208,11 @@ impl Method {
             }
         })
     }
+}
+
+/// A number above a limit.
+fn above(typed: &ProblemFile, key: &str, limit: f64) -> Result<Option<f64>> {
+    typed.number_in(key, &format!("a number above {limit}"), |v| v > limit)
 }
 
 /// `structure` of the methods that know two.

@@ -60,6 +60,7 @@ fn with_system<T: TimeDomain>(
     };
     let (before, behind) = (weight("input_weight")?, weight("output_weight")?);
     let method = Method::read(file, before.is_some() || behind.is_some())?;
+    let typed = file.options(&OPTIONS)?;
     let weights = Weights { input: before.as_ref(), output: behind.as_ref() };
     let watch = Watch::start();
     let outcome = method.apply(&sys, weights);
@@ -68,7 +69,13 @@ fn with_system<T: TimeDomain>(
     match outcome {
         Ok(answer) => Ok(ReduceAnswer { order_before, seconds, ..answer }),
         Err(error) => {
-            let Some(status) = system_status(&error) else { return Err(error.into()) };
+            let Some(status) = system_status(&error) else {
+                // The system and the bounds have been read and checked: what is left is an order that is too large or too small.
+                return Err(match typed.has("order") {
+                    true => typed.complaint("order", &error.to_string()),
+                    false => error.into(),
+                });
+            };
             let message = error.to_string();
             Ok(ReduceAnswer { status, message, order_before, seconds, ..ReduceAnswer::nothing() })
         }
@@ -99,7 +106,8 @@ impl Method {
                             .complaint(key, "has no meaning for method `minimal`, which takes `tolerance`"));
                     }
                 }
-                return Ok(Self::Minimal(typed.number("tolerance")?));
+                let allowed = |v: f64| (0.0..1.0).contains(&v);
+                return Ok(Self::Minimal(typed.number_in("tolerance", "from 0 to below 1", allowed)?));
             }
             Some(_) => {
                 return Err(
@@ -180,7 +188,8 @@ impl Method {
 /// One of `order`, `error_max`, `relative_error_max`; none of them: the largest gap of the Hankel singular values.
 fn order_rule(typed: &ProblemFile) -> Result<OrderRule> {
     let order = typed.count("order")?;
-    let (error, relative) = (typed.number("error_max")?, typed.number("relative_error_max")?);
+    let bound = |key: &str| typed.number_in(key, "0 or more", |v| v >= 0.0);
+    let (error, relative) = (bound("error_max")?, bound("relative_error_max")?);
     match (order, error, relative) {
         (Some(order), None, None) => Ok(OrderRule::Count(order)),
         (None, Some(error), None) => Ok(OrderRule::ErrorAtMost(error)),
