@@ -5,6 +5,7 @@ mod identify;
 mod membrane;
 mod pulse;
 mod receive;
+mod relay;
 mod replay;
 mod report;
 mod send;
@@ -47,6 +48,8 @@ enum Stage {
     Verify(verify::VerifyArguments),
     /// Run a controller on the virtual rig against a reference from a file.
     Track(track::TrackArguments),
+    /// Find where the loop would oscillate, with a relay on the virtual rig, and make a PID controller from it.
+    Relay(relay::RelayArguments),
     /// Solve a problem of robust control given as a file: synthesis, norms, matrix equations.
     Solve(solve::SolveArguments),
     /// Look at the membrane's physics: equilibria from case files.
@@ -91,6 +94,7 @@ pub fn run(arguments: Arguments) -> Result<Verdict> {
         Stage::Design(typed) => design::run(&typed, json),
         Stage::Verify(typed) => verify::run(&typed, json),
         Stage::Track(typed) => track::run(&typed, json),
+        Stage::Relay(typed) => relay::run(&typed, json),
         Stage::Solve(typed) => solve::run(&typed, json),
         Stage::Membrane(typed) => membrane::run(&typed, json),
         Stage::Pulse(typed) => pulse::run(&typed, json),

@@ -3,5 +3,6 @@
 pub mod control;
 pub mod device;
 pub mod doctor;
+pub mod relay;
 pub mod replay;
 pub mod run;

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use serde::{Deserialize, Serialize};
 use telepulse_actuator::ParameterSet;
 use telepulse_actuator::twin::Fidelity;
-use telepulse_design::implement::PidSettings;
+use telepulse_design::implement::{PidSettings, SetpointWeights};
 use telepulse_lti::TransferFunction;
 use toml::de::{DeTable, DeValue};
 
@@ -259,6 +259,8 @@ pub struct Pid {
     pub d: f64,
     /// Corner of the derivative filter.
     pub n_rad_s: f64,
+    /// How much of a change of the reference the proportional and the derivative part see; all of it unless given.
+    pub setpoint_weights: Option<SetpointWeights>,
 }
 
 /// `[pulse]`.
@@ -511,6 +513,14 @@ impl Study {
                 within(&format!("{key}.{name}"), value, 0.0, 1e6)?;
             }
             within(&format!("{key}.n_rad_s"), pid.n_rad_s, 1.0, 1e6)?;
+            if let Some(SetpointWeights { b, c }) = pid.setpoint_weights {
+                within(&format!("{key}.setpoint_weights.b"), b, 0.0, 1.0)?;
+                within(&format!("{key}.setpoint_weights.c"), c, 0.0, 1.0)?;
+                ensure!(
+                    pid.i > 0.0 || b == 1.0,
+                    "key `{key}.setpoint_weights.b`: found {b} without integral gain, allowed 1: the loop would stay off the reference"
+                );
+            }
         }
         within("pulse.peak_to_peak_pa", self.pulse.peak_to_peak_pa, 1.0, 1e5)?;
         within("pulse.pa_per_mm", self.pulse.pa_per_mm, 1.0, 1e6)?;

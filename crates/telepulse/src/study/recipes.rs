@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, ensure};
-use telepulse_design::identify::{GreyBoxModel, InputLinearisation, PlantModel};
+use telepulse_design::identify::{Controlled, GreyBoxModel, InputLinearisation, PlantModel};
 use telepulse_design::implement::{
     AntiWindup, ControllerRecipe, Discretization, DriveLimits, Feedforward, FlatFeedforward, Law,
-    OperatingPoint, PreviewOptions, RecipeSettings, ReferencePath, SmootherOptions, preview_feedforward,
-    realize_continuous,
+    OperatingPoint, PidSettings, PreviewOptions, RecipeSettings, ReferencePath, SmootherOptions,
+    preview_feedforward, realize_continuous,
 };
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
@@ -135,7 +135,25 @@ fn pid_recipe(
 ) -> Result<ControllerRecipe> {
     let reason =
         certified.objection().unwrap_or_else(|| "a PID law is not realised from its certificate".into());
-    Ok(ControllerRecipe::uncertified(&reason, Law::Pid(pid.settings()), settings(study, model)?)?)
+    let settings = RecipeSettings { setpoint_weights: pid.setpoint_weights, ..settings(study, model)? };
+    Ok(ControllerRecipe::uncertified(&reason, Law::Pid(pid.settings()), settings)?)
+}
+
+/// A PID controller from a relay experiment, which knows one point of the plant and nothing of its error.
+///
+/// # Errors
+/// Where a gain is refused.
+pub fn relay_recipe(study: &Study, pid: PidSettings, bias: f64) -> Result<ControllerRecipe> {
+    let reason = format!(
+        "tuned by a rule from a relay experiment at bias {bias}: no bound of the plant's error is known"
+    );
+    let settings = plain_settings(
+        study,
+        Controlled::Displacement,
+        InputLinearisation::None,
+        study.control.full_scale_v,
+    )?;
+    Ok(ControllerRecipe::uncertified(&reason, Law::Pid(pid), settings)?)
 }
 
 /// The feedback of the best controller: S/KS with the filter (26) as part of the plant, so that the loop is designed as it runs.
@@ -220,10 +238,20 @@ pub fn at_horizon(
 const HORIZON_MAX_S: f64 = 0.2;
 
 fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
+    plain_settings(study, model.controlled, model.input_linearisation, model.full_scale_v)
+}
+
+/// Feedback alone, with the filter (26), within the study's limits.
+fn plain_settings(
+    study: &Study,
+    controlled: Controlled,
+    input_linearisation: InputLinearisation,
+    full_scale_v: f64,
+) -> Result<RecipeSettings> {
     Ok(RecipeSettings {
-        controlled: model.controlled,
+        controlled,
         sample_time_s: SampleTime::new(study.sample_time_s())?,
-        input_linearisation: model.input_linearisation,
+        input_linearisation,
         measurement_filter_rad_s: Some(std::f64::consts::TAU * study.control.filter_hz),
         reference_path: ReferencePath::Direct,
         feedforward: None,
@@ -232,10 +260,30 @@ fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
         anti_windup: AntiWindup::HoldOutward,
         setpoint_weights: None,
         // Every run starts from rest, so commands and displacements count from there.
-        operating_point: OperatingPoint {
-            bias_unit: 0.0,
-            displacement_mm: 0.0,
-            full_scale_v: model.full_scale_v,
-        },
+        operating_point: OperatingPoint { bias_unit: 0.0, displacement_mm: 0.0, full_scale_v },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use telepulse_design::implement::SetpointWeights;
+
+    use super::*;
+    use crate::study::models::given;
+
+    #[test]
+    fn law_setpoint_weights_of_the_study_reach_the_recipe() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../studies/diaphragm-2017");
+        let mut study = Study::load(Path::new(folder)).expect("a study");
+        let lag = TransferFunction::new(&[1.0], &[0.1, 1.0]).expect("proper");
+        let model = given(&study, lag.clone(), lag, "a lag").expect("a model");
+        for weights in [None, Some(SetpointWeights { b: 0.4, c: 0.0 })] {
+            study.pid.auto.setpoint_weights = weights;
+            let refused = Certified::Refused("not looked at".to_owned());
+            let recipe = pid_recipe(&study, &study.pid.auto, &model, &refused).expect("a recipe");
+            assert_eq!(recipe.settings().setpoint_weights, weights);
+        }
+    }
 }

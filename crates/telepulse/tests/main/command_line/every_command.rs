@@ -63,7 +63,7 @@ fn edge_a_reader_that_closes_early_is_no_failure() {
 #[test]
 fn law_help_and_version_of_every_command() {
     let bench = Bench::new();
-    let commands: [&[&str]; 14] = [
+    let commands: [&[&str]; 15] = [
         &[],
         &["study"],
         &["study", "run"],
@@ -72,6 +72,7 @@ fn law_help_and_version_of_every_command() {
         &["design"],
         &["verify"],
         &["track"],
+        &["relay"],
         &["pulse"],
         &["pulse", "info"],
         &["send"],

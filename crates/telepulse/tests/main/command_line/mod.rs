@@ -5,6 +5,7 @@
 mod design;
 mod every_command;
 mod identify;
+mod relay;
 mod replay;
 mod report;
 mod send_receive;
