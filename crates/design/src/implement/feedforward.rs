@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::flat_feedforward::{FlatDrive, FlatFeedforward};
+use super::held_feedforward::HeldFeedforward;
 use super::preview::{PreviewFeedforward, PreviewOptions, preview_feedforward};
 use super::recipe::{RecipeSettings, check_sample_time};
 use crate::identify::{InputLinearisation, PlantModel};
@@ -16,6 +17,8 @@ pub enum Feedforward {
     Preview(PreviewFeedforward),
     /// The inverse of a nonlinear model of the motion; needs the square root at the amplifier.
     Flat(Box<FlatFeedforward>),
+    /// The inverse of the curve of a held plate behind its circuit; needs the square root at the amplifier.
+    Held(Box<HeldFeedforward>),
 }
 
 impl Feedforward {
@@ -25,6 +28,7 @@ impl Feedforward {
         match self {
             Self::Preview(filter) => filter.horizon_s,
             Self::Flat(flat) => flat.horizon_s(),
+            Self::Held(held) => held.horizon_s(),
         }
     }
 
@@ -34,6 +38,9 @@ impl Feedforward {
             Self::Preview(filter) => (&filter.taps, filter.n_preview, filter.sample_time_s),
             Self::Flat(flat) => {
                 (&flat.smoother().taps, flat.smoother().n_preview, flat.sample_time_s().seconds())
+            }
+            Self::Held(held) => {
+                (&held.smoother().taps, held.smoother().n_preview, held.sample_time_s().seconds())
             }
         };
         if n_preview >= taps.len() {
@@ -57,6 +64,12 @@ impl Feedforward {
                     return Err(Error::LinearisationMismatch);
                 }
                 found.drive() == drive(settings) && is_of(found, model)?
+            }
+            Self::Held(found) => {
+                if model.input_linearisation != InputLinearisation::SquareRoot {
+                    return Err(Error::LinearisationMismatch);
+                }
+                found.drive() == drive(settings) && is_curve_of(found, model)?
             }
         };
         if same { Ok(()) } else { Err(Error::FeedforwardMismatch) }
@@ -83,6 +96,13 @@ fn is_of(flat: &FlatFeedforward, model: &PlantModel) -> Result<bool> {
     }
     let [_, by_x, by_w] = flat.model().pull(x, drive);
     let ratio = -by_w / by_x / model.nominal.dc_gain()?;
+    Ok((1.0 / GAIN_RATIO_MAX..=GAIN_RATIO_MAX).contains(&ratio))
+}
+
+/// Whether the mean slope of the curve up to the linear model's bias is near the linear model's gain.
+fn is_curve_of(held: &HeldFeedforward, model: &PlantModel) -> Result<bool> {
+    let gain = model.nominal.dc_gain()?;
+    let ratio = held.curve().command(gain * model.bias_unit) / model.bias_unit;
     Ok((1.0 / GAIN_RATIO_MAX..=GAIN_RATIO_MAX).contains(&ratio))
 }
 

@@ -11,6 +11,7 @@ mod controller_order;
 mod feedforward;
 mod flat_feedforward;
 pub mod forms;
+mod held_feedforward;
 mod modal_delta;
 mod pid;
 mod preview;
@@ -23,6 +24,7 @@ mod static_inverse;
 pub use controller_order::{ControllerRoute, OrderTried, ReducedController, reduce_controller};
 pub use feedforward::Feedforward;
 pub use flat_feedforward::{AHEAD, FlatDrive, FlatFeedforward, RECOVERY_RAD_S};
+pub use held_feedforward::HeldFeedforward;
 pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
 pub use pid::PidSettings;
 pub use preview::{

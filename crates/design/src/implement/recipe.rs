@@ -142,6 +142,10 @@ impl RecipeSettings {
                 let bias_unit = self.operating_point.bias_unit;
                 return Some(flat.apply(reference_mm).into_iter().map(|u| u - bias_unit).collect());
             }
+            Feedforward::Held(held) => {
+                let bias_unit = self.operating_point.bias_unit;
+                return Some(held.apply(reference_mm).into_iter().map(|u| u - bias_unit).collect());
+            }
             Feedforward::Preview(filter) => filter,
         };
         let OperatingPoint { bias_unit, displacement_mm, .. } = self.operating_point;
