@@ -10,7 +10,8 @@ use super::capacitance::{CapacitanceGauge, CapacitiveReading, SensingRecord};
 use super::instrument::{Imperfections, Instrument};
 use super::plant::{Plant, PlantFault};
 use crate::Error;
-use crate::twin::{PlateLoad, TwinModel};
+use crate::field::PlateContact;
+use crate::twin::{Contact, ContactLaw, PlateLoad, TwinModel};
 
 /// A laser distance sensor above the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,6 +64,19 @@ pub struct DisplacementRig {
     gauge: Gauge,
 }
 
+/// A fingertip above the plate: force `k d^p (1 + chi d')` at compression d (Hunt and Crossley 1975).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fingertip {
+    /// k, N/m^p.
+    pub stiffness_n_per_m_p: f64,
+    /// p, 1 to 4; 1.5 for smooth bodies (Hertz).
+    pub exponent: f64,
+    /// chi, s/m.
+    pub dissipation_s_per_m: f64,
+    /// Displacement of the plate from rest at which it just touches, mm.
+    pub touch_mm: f64,
+}
+
 /// What reads the plate.
 #[derive(Debug, Clone)]
 enum Gauge {
@@ -98,6 +112,36 @@ impl DisplacementRig {
         let instrument = Instrument::new(imperfections, conditions.sensing_noise, seed)?;
         let gauge = Gauge::Laser { standoff_mm: laser.standoff_mm, instrument };
         Ok(Self { plant: Plant::new(model, own_load(model), &conditions)?, gauge })
+    }
+
+    /// A rig with a given laser whose plate a fingertip touches from above: it is pressed while the plate is above `touch_mm`.
+    ///
+    /// The plate starts where weight, membrane and fingertip are in balance.
+    ///
+    /// # Errors
+    /// [`Error::Request`] names the condition and [`Error::Parameter`] the number of the fingertip that is out of range.
+    pub fn with_fingertip(
+        model: &TwinModel,
+        laser: Laser,
+        fingertip: Fingertip,
+        conditions: RigConditions,
+        seed: u64,
+    ) -> Result<Self, Error> {
+        let Fingertip { stiffness_n_per_m_p, exponent, dissipation_s_per_m, touch_mm } = fingertip;
+        // The field-level model's own check says what a fingertip may be.
+        PlateContact::HuntCrossley { stiffness_n_per_m_p, exponent, dissipation_s_per_m, touch_mm }
+            .check()?;
+        let law = ContactLaw::HuntCrossley { stiffness_n_per_m_p, exponent, dissipation_s_per_m };
+        let mut rig = Self::with_laser(model, laser, conditions, seed)?;
+        let load = PlateLoad { contact: Some(Contact { law, touch_mm }), ..own_load(model) };
+        rig.plant = Plant::new(model, load, &conditions)?;
+        Ok(rig)
+    }
+
+    /// Compressive force of a fingertip at the last call, N; zero without one. For evaluation only.
+    #[must_use]
+    pub fn true_contact_force_n(&self) -> f64 {
+        self.plant.contact_force_n()
     }
 
     /// A rig that feels its plate by the capacitance: a carrier is added to the drive, which is sampled with current and voltage.

@@ -10,7 +10,7 @@ use super::assumptions::{
 use super::instrument::{Imperfections, Instrument};
 use super::plant::Plant;
 use crate::Error;
-use crate::twin::{Contact, PlateLoad, TwinModel};
+use crate::twin::{Contact, ContactLaw, PlateLoad, TwinModel};
 
 /// A load cell that holds the plate from above. All defaults are assumptions ([`super::rig_assumptions`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,10 +105,12 @@ impl ForceRig {
         let gravity = model.parameters().spec().gravity_m_per_s2;
         let carried_n = model.force_n(cell.hold_at_mm, 0.0) - cell.plate_mass_kg * gravity;
         let contact = Contact {
-            stiffness_n_per_m: cell.stiffness_n_per_m,
-            damping_n_s_per_m: 2.0
-                * cell.damping_ratio
-                * (cell.stiffness_n_per_m * cell.plate_mass_kg).sqrt(),
+            law: ContactLaw::SpringDamper {
+                stiffness_n_per_m: cell.stiffness_n_per_m,
+                damping_n_s_per_m: 2.0
+                    * cell.damping_ratio
+                    * (cell.stiffness_n_per_m * cell.plate_mass_kg).sqrt(),
+            },
             touch_mm: cell.hold_at_mm + carried_n / cell.stiffness_n_per_m * 1e3,
         };
         let load = PlateLoad { mass_kg: cell.plate_mass_kg, contact: Some(contact) };

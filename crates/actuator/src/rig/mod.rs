@@ -12,7 +12,7 @@ mod plant;
 
 pub use assumptions::{RigAssumption, rig_assumptions};
 pub use capacitance::{CapacitiveReading, SensingRecord};
-pub use displacement::{DisplacementRig, Laser};
+pub use displacement::{DisplacementRig, Fingertip, Laser};
 pub use force::{ForceRig, LoadCell};
 
 use telepulse_rt::MonotonicNs;

@@ -5,7 +5,7 @@ use telepulse_rt::MonotonicNs;
 use super::{ForceStep, RigConditions};
 use crate::field::{FieldSetup, FieldTwin, PlateContact};
 use crate::statics::{Electrodes, Load, StaticSolver};
-use crate::twin::{Fidelity, Inputs, PlateLoad, Twin, TwinModel};
+use crate::twin::{Contact, ContactLaw, Fidelity, Inputs, PlateLoad, Twin, TwinModel};
 use crate::{ActuatorParameters, Error};
 
 /// Longest gap between two calls that a rig bridges, s: a bound on the work of one call.
@@ -203,6 +203,19 @@ impl Plant {
     }
 }
 
+/// The same contact, measured from the rest position of the field-level model.
+fn field_contact(contact: Contact, origin_mm: f64) -> PlateContact {
+    let touch_mm = contact.touch_mm - origin_mm;
+    match contact.law {
+        ContactLaw::SpringDamper { stiffness_n_per_m, damping_n_s_per_m } => {
+            PlateContact::SpringDamper { stiffness_n_per_m, damping_n_s_per_m, touch_mm }
+        }
+        ContactLaw::HuntCrossley { stiffness_n_per_m_p, exponent, dissipation_s_per_m } => {
+            PlateContact::HuntCrossley { stiffness_n_per_m_p, exponent, dissipation_s_per_m, touch_mm }
+        }
+    }
+}
+
 impl FieldBody {
     fn new(model: &TwinModel, load: PlateLoad) -> Result<Self, Error> {
         let mut spec = model.parameters().spec().clone();
@@ -212,11 +225,7 @@ impl FieldBody {
         let free = solver.solve(Load::ForceN(parameters.weight_n()), Electrodes::VoltageV(0.0))?;
         let origin_mm = (free.displacement_m - model.rest_sag_m()) * 1e3;
         let mut setup = FieldSetup::plain(&parameters);
-        setup.contact = load.contact.map(|contact| PlateContact::SpringDamper {
-            stiffness_n_per_m: contact.stiffness_n_per_m,
-            damping_n_s_per_m: contact.damping_n_s_per_m,
-            touch_mm: contact.touch_mm - origin_mm,
-        });
+        setup.contact = load.contact.map(|contact| field_contact(contact, origin_mm));
         let twin = FieldTwin::with_setup(&parameters, FIELD_DEGREE, setup)?;
         Ok(Self { twin, parameters, origin_mm })
     }

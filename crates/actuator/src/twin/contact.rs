@@ -12,17 +12,38 @@ pub struct PlateLoad {
     pub contact: Option<Contact>,
 }
 
-/// A spring and damper between the plate and a fixed base above it, which can push the plate down and cannot pull.
+/// A body between the plate and a fixed base above it, which can push the plate down and cannot pull.
 ///
 /// **Sign**: the contact force is positive in compression, that is while the membrane pushes the plate up against it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Stiffness, N/m.
-    pub stiffness_n_per_m: f64,
-    /// Damping, N s/m.
-    pub damping_n_s_per_m: f64,
-    /// Displacement of the plate from rest at which the spring just touches it, mm; above (below in value) it presses.
+    /// How it resists.
+    pub law: ContactLaw,
+    /// Displacement of the plate from rest at which the body just touches it, mm; above (below in value) it presses.
     pub touch_mm: f64,
+}
+
+/// Force of a body that is compressed by `d` at the rate `d'`; never negative.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ContactLaw {
+    /// `k d + c d'`: a load cell.
+    SpringDamper {
+        /// k, N/m.
+        stiffness_n_per_m: f64,
+        /// c, N s/m.
+        damping_n_s_per_m: f64,
+    },
+    /// `k d^p (1 + chi d')`: a fingertip. The loss vanishes with the compression, so that touch and release do not jump.
+    ///
+    /// **Source**: Hunt and Crossley 1975.
+    HuntCrossley {
+        /// k, N/m^p.
+        stiffness_n_per_m_p: f64,
+        /// p, 1 or above; 1.5 for smooth bodies (Hertz).
+        exponent: f64,
+        /// chi, s/m.
+        dissipation_s_per_m: f64,
+    },
 }
 
 impl Contact {
@@ -30,13 +51,41 @@ impl Contact {
     #[inline(always)]
     pub(super) fn force(&self, rest: f64, x: f64, v: f64) -> f64 {
         let compression = rest + self.touch_mm * 1e-3 - x;
-        if compression > 0.0 {
-            (self.stiffness_n_per_m * compression - self.damping_n_s_per_m * v).max(0.0)
-        } else {
-            0.0
+        if compression <= 0.0 {
+            return 0.0;
+        }
+        match self.law {
+            ContactLaw::SpringDamper { stiffness_n_per_m, damping_n_s_per_m } => {
+                (stiffness_n_per_m * compression - damping_n_s_per_m * v).max(0.0)
+            }
+            ContactLaw::HuntCrossley { stiffness_n_per_m_p, exponent, dissipation_s_per_m } => {
+                stiffness_n_per_m_p * compression.powf(exponent) * (1.0 - dissipation_s_per_m * v).max(0.0)
+            }
         }
     }
+
+    /// Slope of the force over compression at `x`, N/m, the plate at rest.
+    pub(super) fn stiffness(&self, rest: f64, x: f64) -> f64 {
+        let compression = rest + self.touch_mm * 1e-3 - x;
+        if compression <= 0.0 {
+            return 0.0;
+        }
+        match self.law {
+            ContactLaw::SpringDamper { stiffness_n_per_m, .. } => stiffness_n_per_m,
+            ContactLaw::HuntCrossley { stiffness_n_per_m_p, exponent, .. } => {
+                stiffness_n_per_m_p * exponent * compression.powf(exponent - 1.0)
+            }
+        }
+    }
+
+    /// The largest slope that a compression of [`DEEPEST_M`] meets, N/m: what the step must resolve.
+    pub(super) fn stiffest(&self) -> f64 {
+        self.stiffness(DEEPEST_M, self.touch_mm * 1e-3)
+    }
 }
+
+/// Deeper than a plate of this device can press, m.
+const DEEPEST_M: f64 = 3e-3;
 
 impl Twin {
     /// One step of a plate in contact.

@@ -14,7 +14,7 @@ mod stated;
 mod surface;
 
 pub(crate) use abreast::{N_ABREAST, Passage, run_abreast};
-pub use contact::{Contact, PlateLoad};
+pub use contact::{Contact, ContactLaw, PlateLoad};
 pub(crate) use family::{TwinFamily, shape};
 pub use fidelity::Fidelity;
 pub use model::{MapRange, TwinModel};
@@ -80,7 +80,7 @@ impl Twin {
         let plant = Plant::new(&[model], &[load.mass_kg]);
         let mut max_step = longest_step(model, load.mass_kg);
         if let Some(contact) = load.contact {
-            let omega = (contact.stiffness_n_per_m / load.mass_kg).sqrt();
+            let omega = (contact.stiffest() / load.mass_kg).sqrt();
             max_step = max_step.min(1.0 / (CONTACT_STEPS_PER_RADIAN * omega));
         }
         let mut twin = Self {
@@ -116,8 +116,7 @@ impl Twin {
             let map_slope = slope(&slice, u);
             let force = value(&slice, u) + excess * map_slope;
             let contact = self.contact_force(x, 0.0);
-            let contact_stiffness =
-                self.load.contact.filter(|_| contact > 0.0).map_or(0.0, |c| c.stiffness_n_per_m);
+            let contact_stiffness = self.load.contact.map_or(0.0, |c| c.stiffness(self.model.rest_sag, x));
             let stiffness = map_slope * self.model.x_axis.inverse_half() + contact_stiffness;
             let step = (weight + contact - force) / stiffness;
             x += step;

@@ -1,7 +1,8 @@
 //! Rigs seen through the sensor and drive traits.
 
 use telepulse_actuator::rig::{
-    CapacitiveReading, DisplacementRig, ForceRig, ForceStep, Laser, LoadCell, RigConditions, SensingSine,
+    CapacitiveReading, DisplacementRig, Fingertip, ForceRig, ForceStep, Laser, LoadCell, RigConditions,
+    SensingSine,
 };
 use telepulse_actuator::twin::{Fidelity, TwinModel};
 use telepulse_actuator::{Error, ParameterSet};
@@ -290,4 +291,33 @@ fn edge_carrier_keeps_command_and_ceiling_apart_and_bad_settings_are_refused() {
         }
     }
     assert_eq!(rig.read(MonotonicNs(0)), Err(SensorFault::Stale));
+}
+
+#[test]
+fn law_a_fingertip_balances_the_plate_lets_go_and_touches_again_without_a_jump() {
+    let (k, p, touch_mm) = (4e3, 1.5, 0.5);
+    let fingertip = Fingertip { stiffness_n_per_m_p: k, exponent: p, dissipation_s_per_m: 2.0, touch_mm };
+    let model = model();
+    let mut rig =
+        DisplacementRig::with_fingertip(&model, quiet_laser(), fingertip, RigConditions::default(), 1)
+            .expect("valid");
+    // At rest the fingertip carries what the membrane pulls more than the weight, at a compression of its own law.
+    let pressed_mm = touch_mm - rig.true_displacement_mm();
+    let by_law = k * (1e-3 * pressed_mm).powf(p);
+    let weight = model.parameters().weight_n();
+    let excess = model.force_n(rig.true_displacement_mm(), 0.0) - weight;
+    assert!(pressed_mm > 0.05 && by_law > 1e-3, "{pressed_mm}");
+    // force_n is the relaxed map itself; Newton's method has stopped at 1e-15 m.
+    assert!((by_law + excess).abs() < 1e-9 || (by_law - excess).abs() < 1e-9, "{by_law} {excess}");
+    assert!((rig.true_contact_force_n() - by_law).abs() < 1e-9);
+    // 4.5 kV for two seconds moves the plate away, zero volts bring it back against the finger.
+    run(&mut rig, 0, 4000, 4500.0);
+    assert!(rig.true_displacement_mm() > touch_mm && rig.true_contact_force_n() == 0.0);
+    let back = run(&mut rig, 4000, 4000, 0.0);
+    assert!(rig.true_contact_force_n() > 0.0);
+    // 0.5 ms of a plate that moves at most at 30 mm/s.
+    assert!(back.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.015));
+    let soft = Fingertip { exponent: 0.5, ..fingertip };
+    let refused = DisplacementRig::with_fingertip(&model, quiet_laser(), soft, RigConditions::default(), 1);
+    assert!(matches!(refused, Err(Error::Parameter { key: "contact exponent", .. })));
 }

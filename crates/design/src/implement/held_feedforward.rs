@@ -91,6 +91,16 @@ impl HeldFeedforward {
         self.plain.smoother.horizon_s
     }
 
+    /// The same plate for a reference that is known `horizon_s` ahead.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn with_horizon(&self, horizon_s: f64) -> Result<Self> {
+        let mut plain = self.plain.clone();
+        plain.smoother.horizon_s = horizon_s;
+        Self::try_from(plain)
+    }
+
     /// The command for a whole reference, from a circuit that has settled at its first value.
     #[must_use]
     pub fn apply(&self, reference_mm: &[f64]) -> Vec<f64> {
@@ -107,7 +117,8 @@ impl HeldFeedforward {
             .map(|k| {
                 let target = root(smooth[(k + ahead).min(smooth.len() - 1)]);
                 let needed = (target - kept * circuit) / (1.0 - kept);
-                let voltage = needed.clamp(before - slew, before + slew).clamp(drive.min_unit, drive.max_unit);
+                let voltage =
+                    needed.clamp(before - slew, before + slew).clamp(drive.min_unit, drive.max_unit);
                 circuit = kept * circuit + (1.0 - kept) * voltage;
                 before = voltage;
                 voltage * voltage

@@ -13,8 +13,8 @@ use crate::artefact::{self, GrowingFile};
 use crate::station::device::{self, Conditions};
 use crate::station::replay::Mode;
 use crate::study::config::Study;
+use crate::study::held_plate::HeldModel;
 use crate::study::identify::{identify, plant_model, sweep};
-use crate::study::models::HeldModel;
 use crate::study::outcome::Identified;
 
 #[derive(Debug, Args)]

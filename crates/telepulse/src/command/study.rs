@@ -9,7 +9,11 @@ use super::identify::read_sweep;
 use super::{Verdict, answer};
 use crate::artefact;
 use crate::recording;
-use crate::study::{self, config::Study};
+use crate::station::device;
+use crate::study::amend::amend;
+use crate::study::contact::{PulseForce, pulse_force};
+use crate::study::controllers::Certified;
+use crate::study::{self, config::Study, models, recipes};
 
 /// The study that runs when nothing is asked for.
 const DEFAULT_STUDY: &str = "studies/diaphragm-2017";
@@ -50,6 +54,16 @@ enum Action {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
+    /// Replay recordings in force mode on contacts of three stiffnesses; adds `pulse_force` to the study's report.json.
+    Contact {
+        /// Folder of the study, or its study.toml.
+        study: PathBuf,
+        /// Recordings, CSV with time_s,value,unit; the study's own unless given.
+        recordings: Vec<PathBuf>,
+        /// Folder for the results; `out` unless given. The study's name is added to it.
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
     /// Start a study of your own: a copy of the default one.
     New {
         /// Folder to make; it must not exist or be empty.
@@ -60,6 +74,7 @@ enum Action {
 pub(super) fn run(typed: StudyArguments, json: bool) -> Result<Verdict> {
     match typed.action {
         Action::Run { study, out } => run_study(&study, out, json),
+        Action::Contact { study, recordings, out } => contact(&study, recordings, out, json),
         Action::New { folder } => new_study(&folder, json),
     }
 }
@@ -86,6 +101,40 @@ fn run_study(path: &Path, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
         .with_context(|| format!("while running {}", study.file.display()))?;
     answer(json, &done.outcome, || done.summary_lines())?;
     Ok(if done.passed() { Verdict::Done } else { Verdict::CheckFailed })
+}
+
+fn contact(path: &Path, recordings: Vec<PathBuf>, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
+    let study = Study::load(path)?;
+    let files = if recordings.is_empty() { vec![study.path(&study.pulse.recording)] } else { recordings };
+    for file in &files {
+        recording::read(file)?;
+    }
+    let folder = out.unwrap_or_else(|| PathBuf::from("out")).join(&study.name);
+    let twin = device::twin(&study)?;
+    let recipes = recipes::build(&study, &models::measure(&study, &twin, &|| {})?)?;
+    let named = |name: &str| {
+        let found = recipes.force.iter().find(|(controller, _)| controller == name);
+        found.map(|(_, recipe)| recipe).with_context(|| format!("the study has no controller `{name}`"))
+    };
+    let found = pulse_force(&study, &twin, named("best")?, named("printed_k")?, &files)
+        .with_context(|| format!("while running {}", study.file.display()))?;
+    let certificate = recipes.certificates.get("best_force").map(Certified::summary);
+    let certified = certificate.is_some_and(|c| c.holds);
+    let report = amend(&folder, "pulse_force", &found)?;
+    answer(json, &found, || {
+        let line = |(stem, one): (&String, &PulseForce)| {
+            format!(
+                "{stem}: lag {:.3} ms, NRMSE {:.3} % (worst of stiffness x 0.5, 1, 1.5)",
+                one.lag_ms,
+                100.0 * one.nrmse
+            )
+        };
+        let mut lines: Vec<String> = found.iter().map(line).collect();
+        lines.push(format!("certified over the contact's stiffness: {certified}"));
+        lines.push(format!("numbers in {}", report.display()));
+        lines
+    })?;
+    Ok(if certified { Verdict::Done } else { Verdict::CheckFailed })
 }
 
 fn new_study(folder: &Path, json: bool) -> Result<Verdict> {

@@ -6,7 +6,8 @@ use telepulse_actuator::failure::{
     AmplifierLimits, Envelope, FailureCriteria, SafetyFactors, SupervisorLimits,
 };
 use telepulse_actuator::rig::{
-    CapacitiveReading, DisplacementRig, ForceRig, ForceStep, Laser, RigConditions, SensingRecord, SensingSine,
+    CapacitiveReading, DisplacementRig, ForceRig, ForceStep, Laser, LoadCell, RigConditions, SensingRecord,
+    SensingSine,
 };
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::implement::ControllerRecipe;
@@ -153,9 +154,22 @@ fn exposed(study: &Study, conditions: Conditions) -> RigConditions {
 /// # Errors
 /// Where the cell cannot hold the plate.
 pub fn force(study: &Study, twin: &TwinModel) -> Result<ForceRig> {
-    let conditions = RigConditions { fidelity: study.actuator.fidelity, ..RigConditions::default() };
-    Ok(ForceRig::new(twin, conditions, study.actuator.seed)?)
+    force_on(study, twin, 1.0)
 }
+
+/// The same with a cell of another stiffness: `stiffness_factor` times the assumed one.
+///
+/// # Errors
+/// Where the cell cannot hold the plate.
+pub fn force_on(study: &Study, twin: &TwinModel, stiffness_factor: f64) -> Result<ForceRig> {
+    let conditions = RigConditions { fidelity: study.actuator.fidelity, ..RigConditions::default() };
+    let usual = LoadCell::default();
+    let cell = LoadCell { stiffness_n_per_m: stiffness_factor * usual.stiffness_n_per_m, ..usual };
+    Ok(ForceRig::with_load_cell(twin, cell, conditions, study.actuator.seed)?)
+}
+
+/// Factors of the contact's stiffness that force mode must bear: as assumed, and 50 % less and more.
+pub const STIFFNESS_FACTORS: [f64; 3] = [1.0, 0.5, 1.5];
 
 /// From the laser's distance to the displacement from rest, in mm.
 #[must_use]

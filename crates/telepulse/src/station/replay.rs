@@ -190,17 +190,33 @@ pub fn replay(
     recording: &PulseRecording,
     mode: Mode,
 ) -> Result<Replayed> {
-    let controller = controller.to_owned();
-    if mode == Mode::Displacement {
-        let reference_mm = pulse_reference(study, recording)?;
-        let followed = follow(study, twin, recipe, &recording.title, reference_mm)?;
-        return Ok(Replayed { controller, mode, result: followed.result, trace: followed.trace });
+    if mode == Mode::Force {
+        return replay_held(study, twin, controller, recipe, recording, 1.0);
     }
+    let controller = controller.to_owned();
+    let reference_mm = pulse_reference(study, recording)?;
+    let followed = follow(study, twin, recipe, &recording.title, reference_mm)?;
+    Ok(Replayed { controller, mode, result: followed.result, trace: followed.trace })
+}
+
+/// Replays a recording in Pa in force mode, on a load cell of `stiffness_factor` times the assumed stiffness; see [`replay`].
+///
+/// # Errors
+/// As [`replay`].
+pub fn replay_held(
+    study: &Study,
+    twin: &TwinModel,
+    controller: &str,
+    recipe: &ControllerRecipe,
+    recording: &PulseRecording,
+    stiffness_factor: f64,
+) -> Result<Replayed> {
+    let (controller, mode) = (controller.to_owned(), Mode::Force);
     let pressure = at_control_rate(study, recording)?;
     let scale = PressureScale::of(study, pressure.values(), mode);
     let lead = Lead::of(study);
     let plan = lead.plan(study, recipe, scale.reference_mm(pressure.values())?)?;
-    let mut rig = device::force(study, twin)?;
+    let mut rig = device::force_on(study, twin, stiffness_factor)?;
     let cell = device::force_scale(study, &rig)?;
     let mut control = control::from_recipe(study, recipe, Controlled::CellRelief, cell)?;
     let record = run(&mut rig, &mut control, &plan)?;

@@ -195,12 +195,13 @@ fn smallest_amplitude(record: &SweepRecord) -> SweepRecord {
 /// # Errors
 /// Where no such bound exists.
 pub fn bound(record: &SweepRecord, model: &TransferFunction) -> Result<UncertaintyBound> {
-    let options = CoverOptions {
-        shape: BoundShape::ConstantNumerator,
-        margin: BOUND_MARGIN,
-        ..CoverOptions::default()
-    };
-    Ok(cap_additive_error(record, model, &options)?)
+    Ok(cap_additive_error(record, model, &cover_options())?)
+}
+
+/// How every bound of a study is drawn.
+#[must_use]
+pub fn cover_options() -> CoverOptions {
+    CoverOptions { shape: BoundShape::ConstantNumerator, margin: BOUND_MARGIN, ..CoverOptions::default() }
 }
 
 impl Identification {

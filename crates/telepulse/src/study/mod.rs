@@ -1,11 +1,14 @@
 //! A study: everything from the device to the report, as `study.toml` says.
 
+pub mod amend;
 pub mod bias_sweep;
 pub mod config;
+pub mod contact;
 pub mod controllers;
 pub mod disagreements;
 mod drawings;
 pub mod grey_box;
+pub mod held_plate;
 pub mod identify;
 pub mod judge;
 pub mod models;

@@ -1,22 +1,24 @@
 //! The models a study identifies, each from a sweep of its own.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use rayon::prelude::*;
 use telepulse_actuator::twin::TwinModel;
 use telepulse_design::identify::{
-    Controlled, GreyBoxFit, InputLinearisation, ModelProvenance, PlantModel, SweepRecord, UncertaintyBound,
-    fit_first_order,
+    Controlled, GreyBoxFit, InputLinearisation, ModelProvenance, PlantModel, SweepRecord,
 };
+use telepulse_design::implement::StaticInverse;
 use telepulse_lti::TransferFunction;
 
 use super::bias_sweep::{self, LocalPlant};
 use super::config::{RcTime, Study};
 use super::grey_box;
-use super::identify::{Identification, bound, held_sweep_plan, identify, plant_model, run_sweep, sweep};
-use crate::station::device::{self, Conditions};
+use super::held_plate::{self, HeldModel};
+use super::identify::{Identification, identify, plant_model, sweep};
+use crate::station::device::{self, Conditions, STIFFNESS_FACTORS};
 
-/// Sweeps of a study: voltage and its square, in displacement and in force mode, and the small ones at other biases.
-pub const N_SWEEPS: u64 = 6;
+/// Sweeps of a study: voltage and its square, in displacement mode, and in force mode on cells of three stiffnesses; the small ones at
+/// other biases, and the experiment of the nonlinear model.
+pub const N_SWEEPS: u64 = 10;
 
 /// Everything that identification knows about the device.
 #[derive(Debug, Clone)]
@@ -33,18 +35,8 @@ pub struct Models {
     pub force_voltage: HeldModel,
     /// Relief of the load cell from the square of the voltage.
     pub force_square_root: HeldModel,
-}
-
-/// A first-order model of the held plate, in mm-equivalents per unit.
-#[derive(Debug, Clone)]
-pub struct HeldModel {
-    /// The points.
-    pub record: SweepRecord,
-    /// What was fitted.
-    pub plant: TransferFunction,
-    /// The bound of what the fit leaves.
-    pub bound: UncertaintyBound,
-    rms_residual: f64,
+    /// Squared voltage that holds a relief of the load cell.
+    pub force_curve: StaticInverse,
 }
 
 /// Sweeps the rigs and fits the models, on both cores; `done` is called after each sweep.
@@ -53,17 +45,26 @@ pub struct HeldModel {
 /// Where a rig trips or a sweep does not determine its model.
 pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Result<Models> {
     let inputs = [InputLinearisation::None, InputLinearisation::SquareRoot];
-    let jobs = [(false, inputs[0]), (false, inputs[1]), (true, inputs[0]), (true, inputs[1])];
-    let records = jobs
+    let free = |input| (None, input);
+    let held = |input| STIFFNESS_FACTORS.map(|factor| (Some(factor), input));
+    let jobs: Vec<(Option<f64>, InputLinearisation)> =
+        inputs.map(free).into_iter().chain(inputs.into_iter().flat_map(held)).collect();
+    let mut records = jobs
         .par_iter()
         .map(|(held, input)| {
-            let record = record(study, twin, *held, *input);
+            let record = match held {
+                Some(factor) => held_plate::record(study, twin, *factor, *input),
+                None => record(study, twin, *input),
+            };
             done();
             record
         })
-        .collect::<Result<Vec<SweepRecord>>>()?;
-    let [voltage, square_root, force_voltage, force_square_root] =
-        <[SweepRecord; 4]>::try_from(records).unwrap_or_else(|_| unreachable!("four jobs give four records"));
+        .collect::<Result<Vec<SweepRecord>>>()?
+        .into_iter();
+    let mut next = || records.next().unwrap_or_else(|| unreachable!("each job gives a record"));
+    let (voltage, square_root) = (next(), next());
+    let force_voltage = [next(), next(), next()];
+    let force_square_root = [next(), next(), next()];
     // The circuit is the same in all four; where it is left to the fit, the displacement sweep determines it.
     let voltage = identify(voltage, study.identify.rc_s).context("the displacement sweep")?;
     let rc = RcTime::Known(voltage.fit.rc_s);
@@ -87,63 +88,14 @@ pub fn measure(study: &Study, twin: &TwinModel, done: &(dyn Fn() + Sync)) -> Res
         force_voltage: HeldModel::fit(force_voltage, voltage.fit.rc_s).context("the force sweep")?,
         force_square_root: HeldModel::fit(force_square_root, voltage.fit.rc_s)
             .context("the force sweep with the square of the voltage")?,
+        force_curve: held_plate::measure_curve(study, twin)?,
         voltage,
     })
 }
 
-fn record(study: &Study, twin: &TwinModel, held: bool, input: InputLinearisation) -> Result<SweepRecord> {
-    if held {
-        let mut rig = device::force(study, twin)?;
-        let scale = device::force_scale(study, &rig)?;
-        let plan = held_sweep_plan(study)?;
-        return run_sweep(&mut rig, study, &plan, scale, input, study.identify.bias);
-    }
+fn record(study: &Study, twin: &TwinModel, input: InputLinearisation) -> Result<SweepRecord> {
     let mut rig = device::displacement(study, twin, Conditions::default())?;
     sweep(&mut rig, study, device::displacement_scale(), input)
-}
-
-impl HeldModel {
-    fn fit(record: SweepRecord, rc_s: f64) -> Result<Self> {
-        let fit = fit_first_order(&record, rc_s)?;
-        let bound = bound(&record, &fit.transfer_function)?;
-        Ok(Self { record, plant: fit.transfer_function, bound, rms_residual: fit.rms_residual })
-    }
-
-    /// Sweeps the study's held plate and fits its model; the circuit's time constant must be known.
-    ///
-    /// # Errors
-    /// Where the rig trips, the study leaves the circuit to the fit, or no bound exists.
-    pub fn measure(study: &Study, twin: &TwinModel, input: InputLinearisation) -> Result<Self> {
-        let RcTime::Known(rc_s) = study.identify.rc_s else {
-            bail!(
-                "key `identify.rc_s`: found \"free\", allowed is a time constant in s: a held plate does not determine it"
-            );
-        };
-        Self::fit(record(study, twin, true, input)?, rc_s)
-    }
-
-    /// The model as a file for later stages.
-    ///
-    /// # Errors
-    /// Where a number is out of its range.
-    pub fn plant_model(&self, study: &Study, input: InputLinearisation, record: &str) -> Result<PlantModel> {
-        Ok(PlantModel {
-            version: PlantModel::VERSION,
-            nominal: self.plant.clone(),
-            uncertainty: Some(self.bound.weight.clone()),
-            controlled: Controlled::CellRelief,
-            input_linearisation: input,
-            bias_unit: study.identify.bias,
-            bias_displacement_mm: None,
-            full_scale_v: study.control.full_scale_v,
-            provenance: ModelProvenance::Identified {
-                record: record.to_owned(),
-                n_points: self.record.points().len(),
-                rms_residual_mm_per_unit: self.rms_residual,
-            },
-        }
-        .checked()?)
-    }
 }
 
 impl Models {

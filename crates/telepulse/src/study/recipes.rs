@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use telepulse_design::identify::{Controlled, GreyBoxModel, InputLinearisation, PlantModel};
 use telepulse_design::implement::{
-    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Feedforward, FlatFeedforward, Law,
-    OperatingPoint, PidSettings, PreviewOptions, RecipeSettings, ReferencePath, SmootherOptions,
-    preview_feedforward, realize_continuous,
+    AntiWindup, ControllerRecipe, Discretization, DriveLimits, Feedforward, FlatFeedforward, HeldFeedforward,
+    Law, OperatingPoint, PidSettings, RecipeSettings, ReferencePath, SmootherOptions, realize_continuous,
 };
 use telepulse_lti::{Continuous, SampleTime, StateSpace, TransferFunction};
 
@@ -118,7 +117,7 @@ pub fn build(study: &Study, models: &Models) -> Result<Recipes> {
     for (name, controller, model, settings) in [
         ("printed_k", &printed, &held, settings(study, &held)?),
         ("hinf", &hinf_force.controller, &held, settings(study, &held)?),
-        ("best", &best_force.controller, &held_squared, preview_settings(study, &held_squared)?),
+        ("best", &best_force.controller, &held_squared, held_settings(study, &held_squared, models)?),
     ] {
         let certified = certify(study, model, controller)?;
         out.force.push((name.to_owned(), linear_recipe(model, controller, settings, &certified)?));
@@ -188,20 +187,18 @@ fn linear_recipe(
     Ok(ControllerRecipe::uncertified(&reason, Law::StateSpace(realisation.law), settings)?)
 }
 
-/// With the square root at the amplifier, the reference filtered as the measurement is, and preview.
-fn preview_settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
+/// With the square root at the amplifier, the reference filtered as the measurement is, and the inverse of the held plate's curve.
+fn held_settings(study: &Study, model: &PlantModel, models: &Models) -> Result<RecipeSettings> {
     let sample_time = SampleTime::new(study.sample_time_s())?;
-    let preview = preview_feedforward(&model.nominal, sample_time, &PreviewOptions::default())?;
-    ensure!(
-        preview.horizon_s <= study.pulse.playout_delay_s,
-        "key `pulse.playout_delay_s`: found {} s, allowed from {} s, which the preview filter reads ahead",
-        study.pulse.playout_delay_s,
-        preview.horizon_s
-    );
+    let horizon_s = study.pulse.playout_delay_s.min(HORIZON_MAX_S);
+    let options = SmootherOptions { horizon_s, ..SmootherOptions::default() };
+    let settings = settings(study, model)?;
+    let rc_s = models.voltage.fit.rc_s;
+    let held = HeldFeedforward::new(&models.force_curve, rc_s, sample_time, &options, settings.flat_drive())?;
     Ok(RecipeSettings {
         reference_path: ReferencePath::Filtered,
-        feedforward: Some(Feedforward::Preview(preview)),
-        ..settings(study, model)?
+        feedforward: Some(Feedforward::Held(Box::new(held))),
+        ..settings
     })
 }
 
@@ -235,7 +232,7 @@ pub fn at_horizon(
 }
 
 /// Beyond this a longer horizon makes no difference that could be measured.
-const HORIZON_MAX_S: f64 = 0.2;
+pub const HORIZON_MAX_S: f64 = 0.2;
 
 fn settings(study: &Study, model: &PlantModel) -> Result<RecipeSettings> {
     plain_settings(study, model.controlled, model.input_linearisation, model.full_scale_v)
