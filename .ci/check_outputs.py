@@ -56,7 +56,9 @@ for condition in CONDITIONS:
     error = tracking["printed_k"][condition]["mean_abs_error_mm"]
     check(0.008 <= error <= 0.014, f"printed K, {condition}: {error:.5f} mm within 0.008 and 0.014")
     error = tracking["best"][condition]["mean_abs_error_mm"]
-    check(error <= 0.0010, f"best, {condition}: {error:.6f} mm at most 0.0010")
+    check(error <= 0.0005, f"best, {condition}: {error:.6f} mm at most 0.0005")
+    effort = [tracking[name][condition]["effort_index"] for name in ("best", "printed_k")]
+    check(abs(effort[0] / effort[1] - 1) <= 0.05, f"best, {condition}: effort {effort[0]:.4f} within 5 % of the printed K's {effort[1]:.4f}")
 for controller in ("printed_k", "hinf", "best", "pid_auto", "pid_manual"):
     for condition in CONDITIONS:
         run = tracking[controller][condition]
@@ -72,6 +74,15 @@ for controller in ("printed_k", "hinf", "best"):
         run = pulse[controller][mode]
         if not run.get("unstable"):
             check(0 <= run["min_voltage_v"] and run["max_voltage_v"] <= 5000, f"{controller}, {mode}: voltage within 0 and 5 kV")
+
+check(len(report["pulse_files"]) == 8, "eight recordings are followed")
+for name, runs in report["pulse_files"].items():
+    run = runs["250"]
+    check(abs(run["lag_ms"]) <= 0.5 and run["nrmse"] <= 0.005, f"{name}, known 250 ms ahead: lag {run['lag_ms']:.3f} ms, NRMSE {100 * run['nrmse']:.3f} %")
+    check(set(runs) == {"250", "100", "40", "20", "0"} and all(r["nrmse"] is not None for r in runs.values()), f"{name}: followed at every horizon")
+check(len(report["pulse_force"]) == 8, "eight recordings are felt")
+for name, run in report["pulse_force"].items():
+    check(abs(run["lag_ms"]) <= 1 and run["nrmse"] <= 0.01, f"{name}, force mode, contact stiffness +-50 %: lag {run['lag_ms']:.3f} ms, NRMSE {100 * run['nrmse']:.3f} %")
 
 link = report["link"]
 check(link["sent"] == link["received"] > 0 and link["bit_exact"], f"link: {link['received']} samples bit for bit")

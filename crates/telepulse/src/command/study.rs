@@ -11,7 +11,7 @@ use crate::artefact;
 use crate::recording;
 use crate::station::device;
 use crate::study::amend::amend;
-use crate::study::contact::{PulseForce, pulse_force};
+use crate::study::contact::{HORIZONS_MS, PulseForce, pulse_force};
 use crate::study::controllers::Certified;
 use crate::study::{self, config::Study, models, recipes};
 
@@ -105,7 +105,7 @@ fn run_study(path: &Path, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
 
 fn contact(path: &Path, recordings: Vec<PathBuf>, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
     let study = Study::load(path)?;
-    let files = if recordings.is_empty() { vec![study.path(&study.pulse.recording)] } else { recordings };
+    let files = if recordings.is_empty() { study.recordings() } else { recordings };
     for file in &files {
         recording::read(file)?;
     }
@@ -116,7 +116,7 @@ fn contact(path: &Path, recordings: Vec<PathBuf>, out: Option<PathBuf>, json: bo
         let found = recipes.force.iter().find(|(controller, _)| controller == name);
         found.map(|(_, recipe)| recipe).with_context(|| format!("the study has no controller `{name}`"))
     };
-    let found = pulse_force(&study, &twin, named("best")?, named("printed_k")?, &files)
+    let found = pulse_force(&study, &twin, named("best")?, Some(named("printed_k")?), &files, &HORIZONS_MS)
         .with_context(|| format!("while running {}", study.file.display()))?;
     let certificate = recipes.certificates.get("best_force").map(Certified::summary);
     let certified = certificate.is_some_and(|c| c.holds);

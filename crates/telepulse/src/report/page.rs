@@ -487,6 +487,23 @@ fn recorded(page: ReportPage, outcome: &Outcome) -> ReportPage {
              the rig; it reads the pulse as far ahead as stated and bends it, as little as possible, where it asks for more voltage than there is.",
         )
         .table(table)
+        .table(force_table(outcome))
+}
+
+/// Recorded pulses in force mode.
+fn force_table(outcome: &Outcome) -> Table {
+    let mut table = Table::new(
+        "Recorded pulses in force mode at the play-out delay, best controller, worst of contact stiffness x 0.5, 1 and 1.5",
+        ["recording", "lag, ms", "NRMSE, %"],
+    );
+    for (name, run) in &outcome.pulse_force {
+        table = table.row([
+            Cell::text(name.as_str()),
+            Cell::number(run.lag_ms, 3),
+            Cell::number(100.0 * run.nrmse, 3),
+        ]);
+    }
+    table
 }
 
 fn device(page: ReportPage, outcome: &Outcome) -> ReportPage {

@@ -346,6 +346,15 @@ impl Study {
         self.folder.join(relative)
     }
 
+    /// The recordings that controllers are judged on: `pulse.files`, or the one that is sent where there are none.
+    #[must_use]
+    pub fn recordings(&self) -> Vec<PathBuf> {
+        if self.pulse.files.is_empty() {
+            return vec![self.path(&self.pulse.recording)];
+        }
+        self.pulse.files.iter().map(|file| self.path(file)).collect()
+    }
+
     /// The sweep of the user's own, if the study names one.
     #[must_use]
     pub fn own_sweep(&self) -> Option<PathBuf> {

@@ -30,21 +30,23 @@ pub struct Fidelity {
 /// Force mode on one recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PulseForce {
-    /// Lag of the largest size over the contact stiffnesses, at a play-out delay of 250 ms.
+    /// Lag of the largest size over the contact stiffnesses, at the first play-out delay.
     pub lag_ms: f64,
-    /// Largest error over the contact stiffnesses, at a play-out delay of 250 ms.
+    /// Largest error over the contact stiffnesses, at the first play-out delay.
     pub nrmse: f64,
-    /// At 250 ms by contact stiffness, as a factor of the assumed one.
+    /// At the first play-out delay by contact stiffness, as a factor of the assumed one.
     pub by_stiffness: BTreeMap<String, Fidelity>,
     /// Worst over the contact stiffnesses by play-out delay in ms.
     pub by_horizon_ms: BTreeMap<u32, Fidelity>,
-    /// Worst of the printed K over the contact stiffnesses; it knows no preview.
-    pub printed_k: Fidelity,
+    /// Worst of the printed K over the contact stiffnesses, where it ran; it knows no preview.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub printed_k: Option<Fidelity>,
 }
 
-/// Replays every recording in force mode with `best`, on every contact stiffness and at every play-out delay, and with `printed_k`.
+/// Replays every recording in force mode with `best`, on every contact stiffness and at every play-out delay of `horizons_ms`, and with `printed_k` if
+/// it is given.
 ///
-/// Recordings are scaled to the study's peak-to-peak pressure. The result is by file stem.
+/// Recordings are scaled to the study's peak-to-peak pressure. The result is by file stem; its headline is of the first delay.
 ///
 /// # Errors
 /// Where a recording cannot be read, two have one stem, or a run becomes unstable.
@@ -52,14 +54,15 @@ pub fn pulse_force(
     study: &Study,
     twin: &TwinModel,
     best: &ControllerRecipe,
-    printed_k: &ControllerRecipe,
+    printed_k: Option<&ControllerRecipe>,
     files: &[PathBuf],
+    horizons_ms: &[u32],
 ) -> Result<BTreeMap<String, PulseForce>> {
     let mut found = BTreeMap::new();
     for file in files {
         let stem = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let pulse = read(study, file)?;
-        let one = one_recording(study, twin, best, printed_k, &pulse)
+        let one = one_recording(study, twin, best, printed_k, &pulse, horizons_ms)
             .with_context(|| format!("replaying {} in force mode", file.display()))?;
         ensure!(found.insert(stem, one).is_none(), "{} has the name of another recording", file.display());
     }
@@ -77,17 +80,18 @@ fn one_recording(
     study: &Study,
     twin: &TwinModel,
     best: &ControllerRecipe,
-    printed_k: &ControllerRecipe,
+    printed_k: Option<&ControllerRecipe>,
     pulse: &PulseRecording,
+    horizons_ms: &[u32],
 ) -> Result<PulseForce> {
-    let by_horizon = HORIZONS_MS
+    let by_horizon = horizons_ms
         .iter()
         .map(|ms| Ok((*ms, at_horizon(best, f64::from(*ms) * 1e-3)?)))
         .collect::<Result<Vec<(u32, ControllerRecipe)>>>()?;
     let mut jobs: Vec<(Option<u32>, &ControllerRecipe, f64)> = Vec::new();
     for factor in STIFFNESS_FACTORS {
         jobs.extend(by_horizon.iter().map(|(ms, recipe)| (Some(*ms), recipe, factor)));
-        jobs.push((None, printed_k, factor));
+        jobs.extend(printed_k.map(|recipe| (None, recipe, factor)));
     }
     let runs = jobs
         .par_iter()
@@ -102,17 +106,18 @@ fn one_recording(
         })
         .collect::<Result<Vec<(Option<u32>, f64, Fidelity)>>>()?;
     let worst_at = |ms: Option<u32>| worst(runs.iter().filter(|run| run.0 == ms).map(|run| run.2));
-    let headline = worst_at(Some(HORIZONS_MS[0]));
+    let first = horizons_ms.first().copied();
+    let headline = worst_at(first);
     Ok(PulseForce {
         lag_ms: headline.lag_ms,
         nrmse: headline.nrmse,
         by_stiffness: runs
             .iter()
-            .filter(|run| run.0 == Some(HORIZONS_MS[0]))
+            .filter(|run| run.0 == first)
             .map(|run| (run.1.to_string(), run.2))
             .collect(),
-        by_horizon_ms: HORIZONS_MS.iter().map(|ms| (*ms, worst_at(Some(*ms)))).collect(),
-        printed_k: worst_at(None),
+        by_horizon_ms: horizons_ms.iter().map(|ms| (*ms, worst_at(Some(*ms)))).collect(),
+        printed_k: printed_k.map(|_| worst_at(None)),
     })
 }
 

@@ -7,6 +7,7 @@ use telepulse_actuator::ParameterSet;
 use telepulse_actuator::twin::Fidelity;
 
 use super::config::SensorChoice;
+use super::contact::PulseForce;
 use super::grey_box::NonlinearModel;
 use super::pulse_files::PulseFiles;
 
@@ -62,6 +63,9 @@ pub struct Outcome {
     /// Other recordings, followed by the best controller: by file stem, then horizon in ms.
     #[serde(default)]
     pub pulse_files: PulseFiles,
+    /// The same in force mode, over softer and stiffer contacts: by file stem.
+    #[serde(default)]
+    pub pulse_force: BTreeMap<String, PulseForce>,
     /// Spectrum of the pulse.
     pub pulse_spectrum: Spectrum,
     /// Transmission.

@@ -12,6 +12,7 @@ use telepulse_design::identify::PlantModel;
 use telepulse_lti::{StateSpace, TransferFunction};
 
 use super::config::{SensorChoice, Study};
+use super::contact::{PulseForce, pulse_force};
 use super::controllers::{Certified, Design, certify, synthesize};
 use super::disagreements::{self, Recomputed};
 use super::drawings;
@@ -86,6 +87,7 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
             &|| bar.inc(1),
         )?,
         pulse_files: pulse_files(study, &twin, &models, &recipes, &|| bar.inc(1))?,
+        pulse_force: force_on_recordings(study, &twin, &recipes)?,
     };
     let steps = [
         ("the study's device", tracking::step(study, study.actuator.parameter_set)?),
@@ -107,6 +109,22 @@ pub fn run(study: &Study, folder: &Path) -> Result<Finished> {
 fn n_steps(study: &Study) -> u64 {
     let n_recorded = study.pulse.files.len() * study.pulse.horizons_s.len();
     1 + models::N_SWEEPS + 1 + 20 + 20 + 1 + n_recorded as u64
+}
+
+/// The recordings of the study in force mode at its own play-out delay; `study contact` has the other delays and the printed K.
+fn force_on_recordings(
+    study: &Study,
+    twin: &TwinModel,
+    recipes: &Recipes,
+) -> Result<BTreeMap<String, PulseForce>> {
+    let best = recipes.force.iter().find(|(name, _)| name == "best");
+    match best {
+        Some((_, best)) if study.actuator.fidelity == Fidelity::Reduced && !study.pulse.files.is_empty() => {
+            let playout_ms = (1e3 * study.pulse.playout_delay_s).round() as u32;
+            pulse_force(study, twin, best, None, &study.recordings(), &[playout_ms])
+        }
+        _ => Ok(BTreeMap::new()),
+    }
 }
 
 /// The recordings of the study, followed; at field level a recording of minutes would take an hour, so there are none.
@@ -131,6 +149,7 @@ struct Runs {
     table_1: Vec<Tracked>,
     laser_noise: Vec<Tracked>,
     pulse_files: PulseFiles,
+    pulse_force: BTreeMap<String, PulseForce>,
 }
 
 fn progress_bar(study: &Study) -> ProgressBar {
@@ -231,6 +250,7 @@ fn assemble(
         bias_sweep: recipes.bias_points.clone(),
         pulse: BTreeMap::new(),
         pulse_files: runs.pulse_files.clone(),
+        pulse_force: runs.pulse_force.clone(),
         pulse_spectrum,
         link: transmitted.link.clone(),
         disagreements: list,
