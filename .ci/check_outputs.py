@@ -65,6 +65,12 @@ for controller in ("printed_k", "hinf", "best", "pid_auto", "pid_manual"):
         if not run.get("unstable"):
             check(0 <= run["min_voltage_v"] and run["max_voltage_v"] <= 5000, f"{controller}, {condition}: voltage within 0 and 5 kV")
 
+for point in report["bias_sweep"]:
+    if point["controller"] == "best":
+        check(point["stable"] and point["gain_margin"] >= 2, f"best at bias {point['bias']}: stable, gain margin {point['gain_margin']:.2f} at least 2")
+unstable = [point["bias"] for point in report["bias_sweep"] if point["controller"] == "printed_k" and not point["stable"]]
+check(unstable and min(unstable) == 0.8, f"printed K is unstable from bias {min(unstable, default=None)} on")
+
 pulse = report["pulse"]
 best = pulse["best"]["displacement"]
 check(abs(best["lag_ms"]) <= 2, f"best, displacement: lag {best['lag_ms']:.3f} ms")

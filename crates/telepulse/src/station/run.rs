@@ -58,6 +58,8 @@ pub struct RunRecord {
     pub measured: Vec<f64>,
     /// Voltage commanded.
     pub voltage_v: Vec<f64>,
+    /// Voltage that the feedforward alone would command, without limits; empty where there is none.
+    pub feedforward_v: Vec<f64>,
     /// Supply power.
     pub power_w: Vec<f64>,
     /// Why the supervisor ended the run, if it did.
@@ -148,6 +150,9 @@ pub fn run<R: Sensor + Drive + Truth>(
 ) -> Result<RunRecord> {
     let sample_time_s = control.settings().sample_time_s;
     let mut record = RunRecord { sample_time_s, ..RunRecord::with_capacity(plan.reference.len()) };
+    let settings = control.settings();
+    let volts = |u: &f64| settings.linearisation.volts(u + settings.trim, settings.full_scale_v);
+    record.feedforward_v = plan.feedforward.iter().map(volts).collect();
     let inputs = plan.reference.iter().enumerate().map(|(tick_idx, &reference)| CycleInputs {
         reference,
         feedforward: plan.feedforward.get(tick_idx).copied().unwrap_or(0.0),

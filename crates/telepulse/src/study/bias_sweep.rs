@@ -17,7 +17,7 @@ use super::recipes::Loop;
 use crate::station::device::{self, Conditions};
 
 /// Biases as fractions of full-scale voltage; the last one leaves just room for the sine.
-const BIASES: [f64; 8] = [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.96];
+const BIASES: [f64; 9] = [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
 /// Amplitude of the small sine, a fraction of full-scale voltage.
 const AMPLITUDE: f64 = 0.04;
 

@@ -10,9 +10,11 @@ use crate::station::run::RunRecord;
 /// A reference that asks for too much drives a loop into its ends a few times; an oscillation does so in each of its periods.
 pub const HITS_MAX: usize = 8;
 
-/// A loop that follows its reference to this share of its swing does not oscillate: a limit cycle at the drive's ends moves the plate by
-/// millimetres.
-pub const ERROR_SHARE_MAX: f64 = 0.2;
+/// Share of full scale within which a feedforward is said to ask for an end of the drive: what the feedback adds to it decides the rest.
+const NEAR_END: f64 = 0.03;
+
+/// Time around a sample in which a feedforward that asks for an end explains that the drive is there.
+const ASKED_WITHIN_S: f64 = 0.025;
 
 /// What a drive may do.
 #[derive(Debug, Clone, Copy)]
@@ -38,8 +40,7 @@ impl DriveRange {
 ///
 /// Saturation bounds the states of a simulated device, so instability shows as a limit cycle or a burst of one: the supervisor has
 /// tripped, or the error is larger than the reference itself, or in the judged window the drive runs into one of its ends more often than
-/// [`HITS_MAX`] times while the error is larger than [`ERROR_SHARE_MAX`] of the reference: a steep reference that is followed all the same may
-/// touch the ends in each of its beats.
+/// [`HITS_MAX`] times where the feedforward alone would not take it there: a steep reference may ask for the ends in each of its beats.
 #[must_use]
 pub fn instability(run: &RunRecord, window_start: usize, truth: &[f64], drive: DriveRange) -> Option<String> {
     if let Some(trip) = &run.trip {
@@ -61,8 +62,17 @@ pub fn instability(run: &RunRecord, window_start: usize, truth: &[f64], drive: D
     }
     let voltage = &run.voltage_v[window_start..];
     let at_end = |v: f64| v <= drive.min_v || v >= drive.max_v;
-    let hits = voltage.windows(2).filter(|pair| !at_end(pair[0]) && at_end(pair[1])).count();
-    if hits > HITS_MAX && share_of_swing > ERROR_SHARE_MAX {
+    let near = NEAR_END * drive.full_scale_v;
+    let asked = |tick: usize| {
+        let reach = (ASKED_WITHIN_S / run.sample_time_s).round() as usize;
+        let n = run.feedforward_v.len();
+        let here = window_start + tick;
+        let around = here.saturating_sub(reach).min(n)..(here + reach + 1).min(n);
+        run.feedforward_v[around].iter().any(|v| *v <= drive.min_v + near || *v >= drive.max_v - near)
+    };
+    let hit = |tick: &usize| !at_end(voltage[tick - 1]) && at_end(voltage[*tick]) && !asked(*tick);
+    let hits = (1..voltage.len()).filter(hit).count();
+    if hits > HITS_MAX {
         let share = voltage.iter().filter(|v| at_end(**v)).count() as f64 / voltage.len() as f64;
         return Some(format!(
             "oscillation: the drive runs into its ends {hits} times and spends {:.1} % of the time there",

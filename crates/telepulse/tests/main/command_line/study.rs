@@ -31,7 +31,11 @@ fn edge_a_study_that_says_something_else() {
         ("frequency_min_hz = 0.1", "frequency_min_hz = -0.1", &["`identify.frequency_min_hz`", "found -0.1"]),
         ("bias = 0.5", "bias = nan", &["key `identify.bias`", "found NaN", "allowed 0.01 to 0.99"]),
         ("max_v = 5000.0", "max_v = 7000.0", &["key `control.max_v`", "found 7000", "allowed 1 to 5000"]),
-        ("or_abp_40s.csv", "nobody.csv", &["key `pulse.recording`", "cannot read", "nobody.csv"]),
+        (
+            "recording = \"or_abp_40s.csv\"",
+            "recording = \"nobody.csv\"",
+            &["key `pulse.recording`", "cannot read", "nobody.csv"],
+        ),
     ];
     for (old, new, named) in cases {
         let bench = Bench::new();
@@ -97,7 +101,7 @@ fn edge_what_is_not_ours_is_left_alone() {
 fn law_a_new_study_is_the_default_one_and_its_report_can_be_made_anew() {
     let bench = Bench::new();
     let answer = bench.json(&["study", "new", "mine"]);
-    assert_eq!(answer["files"].as_array().map(Vec::len), Some(3));
+    assert_eq!(answer["files"].as_array().map(Vec::len), Some(10));
     assert_eq!(bench.text("mine/study.toml"), bench.text("st/study.toml"));
 
     let outcome = bench.json(&["study", "run", "mine", "--out", "out"]);
