@@ -106,6 +106,7 @@ pub struct ControlLoop {
     previous: DriveVoltage,
     started: bool,
     tripped: Option<TripReason>,
+    law_gain: f64,
 }
 
 /// What a cycle is asked to follow.
@@ -146,13 +147,23 @@ impl ControlLoop {
         finite("trim in unit command", settings.trim)?;
         positive("full scale in volts", settings.full_scale_v)?;
         let previous = settings.limits.off();
-        Ok(Self { settings, previous, started: false, tripped: None })
+        Ok(Self { settings, previous, started: false, tripped: None, law_gain: 1.0 })
     }
 
     /// The settings, with the present states of law and filters.
     #[must_use]
     pub fn settings(&self) -> &ControlSettings {
         &self.settings
+    }
+
+    /// Multiplies the error that the law sees from the next cycle on; 1 at first. States stay, so that the command does not jump.
+    ///
+    /// # Errors
+    /// [`Error::NotPositive`] or [`Error::NotFinite`]; then the gain is as it was.
+    pub fn set_law_gain(&mut self, gain: f64) -> Result<(), Error> {
+        positive("gain of the law", gain)?;
+        self.law_gain = gain;
+        Ok(())
     }
 
     /// The voltage commanded last.
@@ -210,8 +221,8 @@ impl ControlLoop {
         let reference = settings.reference_filter.map_or(inputs.reference, |f| f.output(inputs.reference));
         let error = reference - filtered;
         let (law_error, law_reference) = match settings.error_sign {
-            ErrorSign::Positive => (error, reference),
-            ErrorSign::Negative => (-error, -reference),
+            ErrorSign::Positive => (self.law_gain * error, self.law_gain * reference),
+            ErrorSign::Negative => (-self.law_gain * error, -self.law_gain * reference),
         };
         let pid_input = PidInput { error: law_error, reference: law_reference };
         let feedback = match &settings.law {

@@ -15,6 +15,7 @@ mod controller;
 mod cycle;
 mod device;
 mod error;
+mod estimator;
 mod filter;
 mod limits;
 mod linearisation;
@@ -32,6 +33,7 @@ pub use cycle::{
 };
 pub use device::{Drive, DriveFault, MonotonicNs, Reading, Sensor, SensorFault};
 pub use error::Error;
+pub use estimator::{Estimator, EstimatorSettings, N_PARAMETERS, Parameters, Update};
 pub use filter::{EQ26_CUTOFF_RAD_S, LowPass};
 pub use limits::{DriveVoltage, Limited, Limits, LimitsError};
 pub use linearisation::InputLinearisation;
