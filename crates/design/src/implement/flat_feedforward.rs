@@ -86,6 +86,11 @@ impl FlatFeedforward {
         })
     }
 
+    /// The same with another model of the plant.
+    pub(super) fn with_model(&self, model: GreyBoxModel) -> Self {
+        Self { plain: PlainFeedforward { model, ..self.plain.clone() }, smoother: self.smoother.clone() }
+    }
+
     /// The model that is inverted.
     #[must_use]
     pub fn model(&self) -> &GreyBoxModel {
@@ -171,7 +176,7 @@ impl FlatFeedforward {
         pairs.map(|(branch, xi)| branch.stiffness_per_s2 * xi).sum()
     }
 
-    fn relaxed_at(&self, displacement_mm: f64) -> GreyBoxState {
+    pub(super) fn relaxed_at(&self, displacement_mm: f64) -> GreyBoxState {
         let model = &self.plain.model;
         GreyBoxState {
             displacement_mm,
@@ -182,7 +187,7 @@ impl FlatFeedforward {
     }
 
     /// The voltage that brings the model to what is wanted at the end of the sample, whatever the drive can do.
-    fn needed_voltage(&self, wanted: &Wanted, state: &GreyBoxState) -> f64 {
+    pub(super) fn needed_voltage(&self, wanted: &Wanted, state: &GreyBoxState) -> f64 {
         let model = &self.plain.model;
         let ts = self.plain.sample_time_s.seconds();
         let (x, v) = (state.displacement_mm, state.velocity_mm_per_s);
@@ -213,7 +218,7 @@ struct Pass {
 }
 
 /// The smooth reference at one time.
-struct Wanted {
+pub(super) struct Wanted {
     displacement: f64,
     velocity: f64,
     acceleration: f64,
@@ -221,7 +226,7 @@ struct Wanted {
 
 impl Wanted {
     /// From seven samples about that time, by central differences of sixth order.
-    fn of(r: &[f64; 7], ts: f64) -> Self {
+    pub(super) fn of(r: &[f64; 7], ts: f64) -> Self {
         let velocity = (45.0 * (r[4] - r[2]) - 9.0 * (r[5] - r[1]) + (r[6] - r[0])) / (60.0 * ts);
         let sum = 270.0 * (r[4] + r[2]) - 27.0 * (r[5] + r[1]) + 2.0 * (r[6] + r[0]) - 490.0 * r[3];
         Self { displacement: r[3], velocity, acceleration: sum / (180.0 * ts * ts) }

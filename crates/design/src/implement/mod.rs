@@ -10,6 +10,7 @@
 mod controller_order;
 mod feedforward;
 mod flat_feedforward;
+mod flat_stepper;
 pub mod forms;
 mod held_feedforward;
 mod modal_delta;
@@ -24,6 +25,7 @@ mod static_inverse;
 pub use controller_order::{ControllerRoute, OrderTried, ReducedController, reduce_controller};
 pub use feedforward::Feedforward;
 pub use flat_feedforward::{AHEAD, FlatDrive, FlatFeedforward, RECOVERY_RAD_S};
+pub use flat_stepper::{FlatStepper, PlantChange};
 pub use held_feedforward::HeldFeedforward;
 pub use modal_delta::{ComplexMode, ModalDelta, RealMode};
 pub use pid::PidSettings;

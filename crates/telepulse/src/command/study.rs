@@ -10,6 +10,7 @@ use super::{Verdict, answer};
 use crate::artefact;
 use crate::recording;
 use crate::station::device;
+use crate::study::ageing::{aged_twin, ageing};
 use crate::study::amend::amend;
 use crate::study::contact::{HORIZONS_MS, PulseForce, pulse_force};
 use crate::study::controllers::Certified;
@@ -64,6 +65,20 @@ enum Action {
         #[arg(long, value_name = "DIR")]
         out: Option<PathBuf>,
     },
+    /// Age the study's device by hours of creep and a drift of its modulus; adds `ageing` to the study's report.json.
+    Age {
+        /// Folder of the study, or its study.toml.
+        study: PathBuf,
+        /// Hours at a held voltage.
+        #[arg(long, default_value_t = 10.0)]
+        hours: f64,
+        /// Relative drift of the network's modulus, taken both ways.
+        #[arg(long, default_value_t = 0.3)]
+        drift: f64,
+        /// Folder for the results; `out` unless given. The study's name is added to it.
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
     /// Start a study of your own: a copy of the default one.
     New {
         /// Folder to make; it must not exist or be empty.
@@ -75,6 +90,7 @@ pub(super) fn run(typed: StudyArguments, json: bool) -> Result<Verdict> {
     match typed.action {
         Action::Run { study, out } => run_study(&study, out, json),
         Action::Contact { study, recordings, out } => contact(&study, recordings, out, json),
+        Action::Age { study, hours, drift, out } => age(&study, hours, drift, out, json),
         Action::New { folder } => new_study(&folder, json),
     }
 }
@@ -135,6 +151,44 @@ fn contact(path: &Path, recordings: Vec<PathBuf>, out: Option<PathBuf>, json: bo
         lines
     })?;
     Ok(if certified { Verdict::Done } else { Verdict::CheckFailed })
+}
+
+fn age(path: &Path, hours: f64, drift: f64, out: Option<PathBuf>, json: bool) -> Result<Verdict> {
+    ensure!((0.0..=100.0).contains(&hours), "`--hours`: found {hours}, allowed are 0 to 100");
+    ensure!((0.0..=0.5).contains(&drift), "`--drift`: found {drift}, allowed are 0 to 0.5");
+    let study = Study::load(path)?;
+    let folder = out.unwrap_or_else(|| PathBuf::from("out")).join(&study.name);
+    let fresh = aged_twin(&study, 0.0)?;
+    let models = models::measure(&study, &fresh, &|| {})?;
+    let recipes = recipes::build(&study, &models)?;
+    let best = recipes.displacement.iter().find(|(name, _)| name == "best");
+    let (_, best) = best.context("the study has no controller `best`")?;
+    let found = ageing(&study, &models, best, hours, drift)
+        .with_context(|| format!("while running {}", study.file.display()))?;
+    let report = amend(&folder, "ageing", &found)?;
+    let shown = |error: Option<f64>| error.map_or("unstable".to_owned(), |mm| format!("{mm:.6} mm"));
+    answer(json, &found, || {
+        let mut lines = vec![format!(
+            "fresh: {} (without adaptation {})",
+            shown(found.mean_abs_error_fresh_mm),
+            shown(found.mean_abs_error_fresh_without_adaptation_mm)
+        )];
+        lines.extend(found.cases.iter().map(|case| {
+            format!(
+                "modulus {:+} %: {} (without adaptation {}); gain {:.3}, stiffness {:.3}, at highest voltage {:.1} %",
+                100.0 * case.drift,
+                shown(case.mean_abs_error_mm),
+                shown(case.mean_abs_error_without_adaptation_mm),
+                case.adapted.gain,
+                case.adapted.stiffness,
+                100.0 * case.share_at_highest_voltage
+            )
+        }));
+        lines.push(format!("numbers in {}", report.display()));
+        lines
+    })?;
+    let stable = found.cases.iter().all(|case| case.mean_abs_error_mm.is_some());
+    Ok(if stable { Verdict::Done } else { Verdict::CheckFailed })
 }
 
 fn new_study(folder: &Path, json: bool) -> Result<Verdict> {

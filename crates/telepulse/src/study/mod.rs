@@ -1,5 +1,6 @@
 //! A study: everything from the device to the report, as `study.toml` says.
 
+pub mod ageing;
 pub mod amend;
 pub mod bias_sweep;
 pub mod config;
