@@ -50,10 +50,8 @@ impl FlatStepper {
         };
         let identified = flat.model().clone();
         let scheduled = flat.with_model(changed(&identified, PlantChange::default())?);
-        let mut state = scheduled.relaxed_at(*first);
-        if let Some(offset) = state.branches_mm.last_mut() {
-            *offset = 0.0;
-        }
+        let mut state = flat.relaxed_at(*first);
+        state.branches_mm.push(0.0);
         let before_unit = state.circuit_unit;
         Ok(Self { identified, scheduled, smooth, sample_idx: 0, state, before_unit })
     }

@@ -175,8 +175,11 @@ fn age(path: &Path, hours: f64, drift: f64, out: Option<PathBuf>, json: bool) ->
         )];
         lines.extend(found.cases.iter().map(|case| {
             format!(
-                "modulus {:+} %: {} (without adaptation {}); gain {:.3}, stiffness {:.3}, at highest voltage {:.1} %",
+                "modulus {:+} %, reference x {}: fresh {}, aged {} (without adaptation {}); gain {:.3}, stiffness {:.3}, at highest \
+                 voltage {:.1} %",
                 100.0 * case.drift,
+                case.reference_scale,
+                shown(case.mean_abs_error_fresh_mm),
                 shown(case.mean_abs_error_mm),
                 shown(case.mean_abs_error_without_adaptation_mm),
                 case.adapted.gain,

@@ -84,7 +84,7 @@ const FILTERS_S: f64 = 2.0;
 /// Range of the law's gain.
 const LAW_GAIN: [f64; 2] = [0.5, 2.0];
 
-/// Follows a reference in mm with a recipe, adapting inside of `set`.
+/// Follows the first `n_ticks` of a reference in mm with a recipe, adapting inside of `set`; the feedforward sees the rest ahead.
 ///
 /// # Errors
 /// Where the recipe has no flatness-based feedforward or the rig cannot run.
@@ -94,6 +94,7 @@ pub fn run(
     scale: SensorScale,
     recipe: &ControllerRecipe,
     reference: &[f64],
+    n_ticks: usize,
     set: &CertifiedSet,
 ) -> Result<(RunRecord, Adapted)> {
     let Some(Feedforward::Flat(flat)) = &recipe.settings().feedforward else {
@@ -116,7 +117,7 @@ pub fn run(
         .map_err(|tripped| anyhow!("the rig cannot be armed: {}", tripped.reason()))?
         .start(tick_at(0));
     let mut record = RunRecord { sample_time_s: ts, ..RunRecord::default() };
-    for (k, r) in reference.iter().enumerate() {
+    for (k, r) in reference.iter().take(n_ticks).enumerate() {
         let inputs = CycleInputs { reference: *r, feedforward: stepper.command() };
         let output = match supervisor.tick(rig, &mut control, tick_at(k), inputs) {
             Ok(output) => output,

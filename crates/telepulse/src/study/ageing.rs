@@ -26,7 +26,7 @@ pub struct Ageing {
     pub drift: f64,
     /// Mean absolute error of the fresh device, adaptation on.
     pub mean_abs_error_fresh_mm: Option<f64>,
-    /// Mean absolute error of the aged device with adaptation, the worse of softening and hardening that could follow the reference.
+    /// Mean absolute error of the device that has softened, with adaptation, on the whole reference.
     pub mean_abs_error_aged_mm: Option<f64>,
     /// Fresh without adaptation.
     pub mean_abs_error_fresh_without_adaptation_mm: Option<f64>,
@@ -41,6 +41,10 @@ pub struct Ageing {
 pub struct AgedCase {
     /// Relative change of the network's modulus.
     pub drift: f64,
+    /// Share of the reference that was followed: a hardened device cannot reach all of it.
+    pub reference_scale: f64,
+    /// The fresh device on the same reference, with adaptation.
+    pub mean_abs_error_fresh_mm: Option<f64>,
     /// With adaptation.
     pub mean_abs_error_mm: Option<f64>,
     /// Without.
@@ -69,10 +73,17 @@ pub fn ageing(
     drift: f64,
 ) -> Result<Ageing> {
     let set = certified_set(study, models, best)?;
-    let fresh = case(study, best, &set, 0.0, 0.0)?;
-    let cases = vec![case(study, best, &set, hours, -drift)?, case(study, best, &set, hours, drift)?];
-    let followed = cases.iter().filter(|case| case.share_at_highest_voltage == 0.0);
-    let aged = followed.filter_map(|case| case.mean_abs_error_mm).reduce(f64::max);
+    let fresh = case(study, best, &set, &Age { hours: 0.0, drift: 0.0, reference_scale: 1.0 })?;
+    let fresh_small =
+        case(study, best, &set, &Age { hours: 0.0, drift: 0.0, reference_scale: HARDENED_SCALE })?;
+    let softened = case(study, best, &set, &Age { hours, drift: -drift, reference_scale: 1.0 })?;
+    let hardened = case(study, best, &set, &Age { hours, drift, reference_scale: HARDENED_SCALE })?;
+    let aged = softened.mean_abs_error_mm;
+    let beside = |case: AgedCase, fresh: &AgedCase| AgedCase {
+        mean_abs_error_fresh_mm: fresh.mean_abs_error_mm,
+        ..case
+    };
+    let cases = vec![beside(softened, &fresh), beside(hardened, &fresh_small)];
     Ok(Ageing {
         hours,
         drift,
@@ -96,6 +107,17 @@ pub fn aged_twin(study: &Study, drift: f64) -> Result<TwinModel> {
     TwinModel::new(&ActuatorParameters::new(spec)?).context("the aged membrane has no reduced twin")
 }
 
+/// How old a device is, and what it is asked to follow.
+struct Age {
+    hours: f64,
+    drift: f64,
+    reference_scale: f64,
+}
+
+/// Share of the reference that a device with a network 30 % harder still reaches below its highest voltage.
+const HARDENED_SCALE: f64 = 0.6;
+/// What the feedforward sees beyond the end of the judged window, s.
+const BEYOND_S: f64 = 1.0;
 /// Fraction of full scale at which the plate is held for hours.
 const HOLD: f64 = 0.7;
 /// Rest at zero volts before the laser's zero is set, s.
@@ -103,13 +125,8 @@ const REST_S: f64 = 120.0;
 /// Periods of the reference before the judged one.
 const PERIODS_BEFORE: f64 = 4.0;
 
-fn case(
-    study: &Study,
-    best: &ControllerRecipe,
-    set: &CertifiedSet,
-    hours: f64,
-    drift: f64,
-) -> Result<AgedCase> {
+fn case(study: &Study, best: &ControllerRecipe, set: &CertifiedSet, age: &Age) -> Result<AgedCase> {
+    let Age { hours, drift, reference_scale } = *age;
     let twin = aged_twin(study, drift)?;
     let conditions = Conditions { noise: true, ..Conditions::default() };
     let rig = device::displacement(study, &twin, conditions)?;
@@ -117,15 +134,16 @@ fn case(
     let rate_hz = study.control.sample_rate_hz;
     let window_start = (PERIODS_BEFORE * study.reference.window_s * rate_hz) as usize;
     let n = window_start + (study.reference.window_s * rate_hz) as usize;
-    let reference: Vec<f64> = (0..n).map(|k| study.reference.at(k as f64 / rate_hz)).collect();
+    let n_known = n + (BEYOND_S * rate_hz) as usize;
+    let mut reference: Vec<f64> =
+        (0..n_known).map(|k| reference_scale * study.reference.at(k as f64 / rate_hz)).collect();
     let drive = judge::DriveRange::of(study);
-    let (learned, adapted) = adaptive::run(study, &mut rig.clone(), scale, best, &reference, set)?;
+    let (learned, adapted) = adaptive::run(study, &mut rig.clone(), scale, best, &reference, n, set)?;
     let judged = judge::tracking(&learned, window_start, &learned.true_output, drive);
-    let plan = RunPlan {
-        feedforward: control::feedforward(best, &reference),
-        reference,
-        watch: device::watch(study),
-    };
+    let mut feedforward = control::feedforward(best, &reference);
+    feedforward.truncate(n);
+    reference.truncate(n);
+    let plan = RunPlan { feedforward, reference, watch: device::watch(study) };
     let mut law = control::from_recipe(study, best, Controlled::Displacement, scale)?;
     let plain = run(&mut rig.clone(), &mut law, &plan)?;
     let without = judge::tracking(&plain, window_start, &plain.true_output, drive);
@@ -133,6 +151,8 @@ fn case(
     let at_end = window.iter().filter(|v| **v >= drive.max_v).count();
     Ok(AgedCase {
         drift,
+        reference_scale,
+        mean_abs_error_fresh_mm: None,
         mean_abs_error_mm: judged.mean_abs_error_mm,
         mean_abs_error_without_adaptation_mm: without.mean_abs_error_mm,
         share_at_highest_voltage: at_end as f64 / window.len().max(1) as f64,
