@@ -73,7 +73,7 @@ impl FlatStepper {
     /// The command for the next sample; the last one again beyond the end of the reference.
     pub fn command(&mut self) -> f64 {
         let ts = self.scheduled.sample_time_s().seconds();
-        let ahead = (self.scheduled.smoother().n_preview > 0).then_some(AHEAD as isize).unwrap_or(0) - 3;
+        let ahead = if self.scheduled.smoother().n_preview > 0 { AHEAD as isize - 3 } else { -3 };
         let last = self.smooth.len() as isize - 1;
         let at = |i: isize| self.smooth[(self.sample_idx as isize + ahead + i).clamp(0, last) as usize];
         let samples: [f64; 7] = std::array::from_fn(|i| at(i as isize - 3));
@@ -112,7 +112,9 @@ fn changed(model: &GreyBoxModel, change: PlantChange) -> Result<GreyBoxModel> {
     GreyBoxModel::new(model.rc_s(), model.damping_per_s(), terms, branches, model.displacement_max_mm())
 }
 
+/// Stiffness of the branch that holds the constant push; any small number will do.
 const OFFSET_STIFFNESS_PER_S2: f64 = 1.0;
+/// Its relaxation time.
 const NEVER_S: f64 = 1e15;
 
 #[cfg(test)]

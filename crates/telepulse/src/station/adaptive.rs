@@ -251,7 +251,7 @@ impl Learner {
         self.n_ticks += 1;
         let per_update = (UPDATE_S / ts).round().max(1.0) as usize;
         let settled = self.n_ticks as f64 * ts > FILTERS_S;
-        (settled && self.n_ticks % per_update == 0).then(|| self.update())
+        (settled && self.n_ticks.is_multiple_of(per_update)).then(|| self.update())
     }
 
     fn update(&mut self) -> (PlantChange, f64) {
