@@ -24,7 +24,7 @@ mod static_inverse;
 
 pub use controller_order::{ControllerRoute, OrderTried, ReducedController, reduce_controller};
 pub use feedforward::Feedforward;
-pub use flat_feedforward::{AHEAD, FlatDrive, FlatFeedforward, RECOVERY_RAD_S};
+pub use flat_feedforward::{AHEAD, FlatDrive, FlatFeedforward, GOVERNED_FROM_S, RECOVERY_RAD_S};
 pub use flat_stepper::{FlatStepper, PlantChange};
 pub use held_feedforward::HeldFeedforward;
 pub use modal_delta::{ComplexMode, ModalDelta, RealMode};

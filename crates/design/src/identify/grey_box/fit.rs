@@ -44,7 +44,7 @@ pub struct GreyBoxFit {
     pub model: GreyBoxModel,
     /// What the sensor reads at rest, mm.
     pub offset_mm: f64,
-    /// Root mean square of what the model leaves of the fitted part, mm, after averaging over [`BLOCK`] samples.
+    /// Root mean square of what the model leaves of the fitted part, mm, after averaging over four samples.
     pub rms_residual_mm: f64,
     /// The same over the part that was held back, mm; none where nothing was.
     pub rms_held_back_mm: Option<f64>,
@@ -58,7 +58,7 @@ pub struct GreyBoxFit {
 }
 
 /// Samples that are averaged into one residual, of record and simulation alike.
-pub const BLOCK: usize = 4;
+const BLOCK: usize = 4;
 
 /// Fits a grey-box model to a record that began at rest.
 ///
