@@ -3,6 +3,7 @@
 pub mod ageing;
 pub mod amend;
 pub mod bias_sweep;
+pub mod campaign;
 pub mod config;
 pub mod contact;
 pub mod controllers;

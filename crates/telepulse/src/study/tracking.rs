@@ -68,14 +68,18 @@ pub fn track_all(
         .map(|(name, recipe, condition, conditions)| {
             let ideal_laser = laser == LaserNoise::OnlyTheCondition;
             let tracked =
-                track(study, twin, name, recipe, condition, Conditions { ideal_laser, ..*conditions });
+                track_one(study, twin, name, recipe, condition, Conditions { ideal_laser, ..*conditions });
             done();
             tracked
         })
         .collect()
 }
 
-fn track(
+/// Runs one recipe in one condition over the study's reference.
+///
+/// # Errors
+/// Where the rig cannot run.
+pub fn track_one(
     study: &Study,
     twin: &TwinModel,
     name: &str,

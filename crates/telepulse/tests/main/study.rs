@@ -250,3 +250,31 @@ fn law_paper_md_names_tests_that_exist() {
     }
     assert!(named >= 15, "docs/paper.md names only {named} tests");
 }
+
+#[test]
+fn law_a_campaign_repeats_on_any_number_of_threads_and_counts_what_is_unstable() {
+    use telepulse::station::replay::read_recipe;
+    use telepulse::study::campaign::{campaign, replay};
+    use telepulse::study::config::Study;
+    let study = Study::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../studies/diaphragm-2017"))
+        .expect("valid");
+    let recipe = |name: &str| {
+        let path = ran().folder.join(format!("recipes/{name}.displacement.recipe.json"));
+        (name.to_owned(), read_recipe(&path).expect("a recipe"))
+    };
+    // The hand-tuned PI is unstable on the device as identified.
+    let recipes = vec![recipe("best"), recipe("pid_manual")];
+    let on = |n_threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().expect("threads");
+        pool.install(|| campaign(&study, &recipes, 6, 3, &|| {})).expect("runs")
+    };
+    let found = on(1);
+    assert_eq!(found, on(2));
+    let (best, manual) = (&found["best"], &found["pid_manual"]);
+    assert_eq!((best.samples, best.unstable, best.voltage_violations, best.field_violations), (6, 0, 0, 0));
+    assert!(manual.unstable > 0, "{manual:?}");
+    let worst = best.worst_sample.expect("six samples");
+    let again = replay(&study, &recipes, 3, worst).expect("runs");
+    assert_eq!(again["best"].mean_abs_error_mm, best.worst_mean_abs_error_mm);
+    assert!(campaign(&study, &recipes, 0, 3, &|| {}).is_err());
+}
