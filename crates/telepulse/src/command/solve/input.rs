@@ -88,19 +88,23 @@ impl ProblemFile {
         anyhow!("in {}: key `{key}`: {what}", self.name)
     }
 
-    /// Refuses a key that is in none of the lists.
+    /// Refuses a key that a slip of the pen made of a known one, and any key that is known to another kind of problem only.
+    ///
+    /// Collections carry keys of their own beside a problem, to tell it apart and to judge its answer: those may be anything.
     ///
     /// # Errors
-    /// Names the first such key and the keys that have a meaning.
-    pub(super) fn refuse_unknown(&self, known: &[&str], free: &[&str]) -> Result<()> {
-        let is_known = |key: &str| known.contains(&key) || free.contains(&key);
-        match self.fields.keys().find(|key| !is_known(key)) {
-            None => Ok(()),
-            Some(key) => {
-                let (known, free) = (known.join(", "), free.join(", "));
-                Err(self.complaint(key, &format!("is unknown, expected one of {known} (free: {free})")))
+    /// Names the first such key and the one that was meant, or the keys that have a meaning.
+    pub(super) fn refuse_mistaken(&self, known: &[&str], elsewhere: &[&str]) -> Result<()> {
+        for key in self.fields.keys().filter(|key| !known.contains(&key.as_str())) {
+            if let Some(meant) = known.iter().find(|name| is_slip(key, name)) {
+                return Err(self.complaint(key, &format!("is unknown, `{meant}` may be meant")));
+            }
+            if elsewhere.contains(&key.as_str()) {
+                let known = known.join(", ");
+                return Err(self.complaint(key, &format!("is unknown here, expected one of {known}")));
             }
         }
+        Ok(())
     }
 
     /// `n`, or the rows of `A`; the message about another matrix then names where the size comes from.
@@ -323,6 +327,29 @@ impl ProblemFile {
         }
     }
 }
+
+/// Whether a key is another one in other case, or, if that is long enough to tell, with one letter more, less or changed, or two exchanged.
+fn is_slip(key: &str, name: &str) -> bool {
+    if key.eq_ignore_ascii_case(name) {
+        return true;
+    }
+    let (a, b): (Vec<char>, Vec<char>) = (key.chars().collect(), name.chars().collect());
+    if b.len() < SLIP_MIN {
+        return false;
+    }
+    let start = a.iter().zip(&b).take_while(|(x, y)| x == y).count();
+    let (a, b) = (&a[start..], &b[start..]);
+    let end = a.iter().rev().zip(b.iter().rev()).take_while(|(x, y)| x == y).count();
+    let (a, b) = (&a[..a.len() - end], &b[..b.len() - end]);
+    match (a.len(), b.len()) {
+        (0 | 1, 0 | 1) => true,
+        (2, 2) => a[0] == b[1] && a[1] == b[0],
+        _ => false,
+    }
+}
+
+/// Shorter keys are one letter apart from each other.
+const SLIP_MIN: usize = 5;
 
 fn expected(rows: Size, cols: Size) -> String {
     format!("{} x {}", rows.describe(), cols.describe())

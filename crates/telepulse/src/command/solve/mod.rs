@@ -50,15 +50,15 @@ enum Problem {
 
 pub(super) fn run(typed: &SolveArguments, json: bool) -> Result<Verdict> {
     let file = ProblemFile::read(&typed.file)?;
-    file.refuse_unknown(typed.problem.keys(), &DESCRIPTIVE)?;
+    file.refuse_mistaken(typed.problem.keys(), &OPTION_KEYS)?;
     match typed.problem {
-        Problem::Hinfsyn => finish(json, &file, hinfsyn::solve(&file)?),
-        Problem::Hinfnorm => finish(json, &file, hinfnorm::solve(&file)?),
-        Problem::Care => finish(json, &file, matrix_equations::riccati(&file)?),
-        Problem::Lyap => finish(json, &file, matrix_equations::lyapunov(&file)?),
-        Problem::Mu => finish(json, &file, mu::solve(&file)?),
-        Problem::Reduce => finish(json, &file, reduce::solve(&file)?),
-        Problem::Pid => finish(json, &file, pid::solve(&file)?),
+        Problem::Hinfsyn => finish(json, typed.problem, &file, hinfsyn::solve(&file)?),
+        Problem::Hinfnorm => finish(json, typed.problem, &file, hinfnorm::solve(&file)?),
+        Problem::Care => finish(json, typed.problem, &file, matrix_equations::riccati(&file)?),
+        Problem::Lyap => finish(json, typed.problem, &file, matrix_equations::lyapunov(&file)?),
+        Problem::Mu => finish(json, typed.problem, &file, mu::solve(&file)?),
+        Problem::Reduce => finish(json, typed.problem, &file, reduce::solve(&file)?),
+        Problem::Pid => finish(json, typed.problem, &file, pid::solve(&file)?),
     }
 }
 
@@ -69,9 +69,9 @@ trait Answer: Serialize {
     fn lines(&self) -> Vec<String>;
 }
 
-fn finish<A: Answer>(json: bool, file: &ProblemFile, answer: A) -> Result<Verdict> {
-    // A key of this problem, but not beside the others of the file.
-    if let Some(key) = file.unread().iter().find(|key| !DESCRIPTIVE.contains(&key.as_str())) {
+fn finish<A: Answer>(json: bool, problem: Problem, file: &ProblemFile, answer: A) -> Result<Verdict> {
+    // A key of this problem, but not beside the others of the file; what is no key of it belongs to a collection.
+    if let Some(key) = file.unread().iter().find(|key| problem.keys().contains(&key.as_str())) {
         return Err(file.complaint(key, "has no meaning beside the other keys of the file"));
     }
     super::answer(json, &answer, || answer.lines())?;
@@ -79,7 +79,7 @@ fn finish<A: Answer>(json: bool, file: &ProblemFile, answer: A) -> Result<Verdic
 }
 
 impl Problem {
-    /// The keys that a file may have for it, besides [`DESCRIPTIVE`] ones.
+    /// The keys that mean something in it.
     fn keys(self) -> &'static [&'static str] {
         match self {
             Self::Hinfsyn => &[
@@ -98,24 +98,5 @@ impl Problem {
     }
 }
 
-/// Keys that collections of problems carry to tell them apart and to judge answers by; they may hold anything.
-const DESCRIPTIVE: [&str; 18] = [
-    "id",
-    "name",
-    "category",
-    "source",
-    "note",
-    "comment",
-    "regular",
-    "gamma_ref",
-    "slicot",
-    "octave",
-    "exact",
-    "ref",
-    "grid_norm",
-    "grid_w",
-    "ab13dd_norm",
-    "ab13dd_w",
-    "ab13dd_err",
-    "max_re",
-];
+/// Keys that change an answer in one kind of problem: in another one they would be ignored silently.
+const OPTION_KEYS: [&str; 4] = ["options", "blocks", "input_weight", "output_weight"];
